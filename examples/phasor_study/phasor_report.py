@@ -31,11 +31,13 @@ def write(lines: list[Line], folder: Path, setting: str, left: list[Line]) -> No
     (folder / "results").mkdir(parents=True, exist_ok=True)
     if not done:
         return
+    table = claims.table(done)
+    done = [line for line in done if line["material"] in LABELS]
     drawn = figures.draw(done, folder, LABELS)
     parts = [
         _head(done, setting, len(lines) - len(done)),
         _left_out(left),
-        claims.table(done),
+        table,
         *(f"![{text.split(' (as')[0]}](results/{name})\n\n{text}" for name, text in drawn),
         _why(done, folder),
         _depths(done),
@@ -80,7 +82,8 @@ def _left_out(left: list[Line]) -> str:
     for key in left:
         what = "further seeds" if key["seed"] else "three bounces alone"
         alone = key["seed"] or key["bounces"] < key["max_bounces"]
-        counts[f"{key['scene']}, {LABELS[key['material']]}{f', {what}' if alone else ''}"] += 1
+        label = LABELS.get(key["material"], key["material"])
+        counts[f"{key['scene']}, {label}{f', {what}' if alone else ''}"] += 1
     rows = "; ".join(f"{name}: {count}" for name, count in counts.items())
     return textwrap.fill(f"Not run are {len(left)} cases more of this setting. {rows}.", 100)
 

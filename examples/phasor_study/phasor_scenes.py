@@ -19,6 +19,8 @@ OPENING = 1.0  # m along z from the relay wall, the whole height of the side x =
 APERTURES = (0.9, 1.6, 1.792)  # m
 ALPHAS = (1.0, 0.4, 0.2)
 MATERIALS = ("lambert", "ward-1", "ward-0.4", "ward-0.2")
+#: Later forms of Ward's model, whose lobes have other energies away from its axis.
+VARIANTS = ("ward-1-duer", "ward-1-bounded", "ward-0.2-duer", "ward-0.2-bounded")
 CORRIDOR_ALBEDO = 0.5  # the paper has none
 OBJECT_ALBEDO = 0.8  # of Lambert, and Ward's specular albedo
 #: m: where the depths of each scene's voxels begin and end
@@ -28,10 +30,11 @@ STROKE = 0.16
 
 
 def material(name: str) -> scene.Material:
-    """An object's, by its name in `MATERIALS`."""
+    """An object's, by its name in `MATERIALS` or `VARIANTS`."""
     if name == "lambert":
         return scene.Lambert(OBJECT_ALBEDO)
-    return scene.Ward(OBJECT_ALBEDO, float(name.removeprefix("ward-")), variant="1992")
+    _, alpha, *later = name.split("-")
+    return scene.Ward(OBJECT_ALBEDO, float(alpha), variant=later[0] if later else "1992")
 
 
 def surfaces(name: str, cloth: str, *, corridor: bool = True, cell: float = 0.025) -> Surfaces:

@@ -55,7 +55,9 @@ def keys(setting: str) -> list[Key]:
         # seeds of one material tell what seeds do, and the dragon has many triangles
         diffuse = _cases("dragon", 32, both, materials=scenes.MATERIALS[:1], **small)
         glossy = _cases("dragon", 32, both, materials=scenes.MATERIALS[1:], seeds=1, **small)
-        return [*letters, *diffuse, *glossy]
+        forms: Key = {"materials": scenes.VARIANTS, "seeds": 1, "apertures": (1.792,), **small}
+        others = [key for name in scenes.DEPTHS for key in _cases(name, 32, both, **forms)]
+        return [*letters, *diffuse, *glossy, *(key for key in others if key["bounces"] > 3)]
     if setting == "middle":
         both = (0.056, 0.112)
         middle: Key = {"max_bounces": 5, "tol": 1e-2, "n_rays": 1 << 17, "cell": 0.05}
