@@ -71,7 +71,7 @@ def test_smallest_setting_runs_and_goes_on_where_it_was_cut_off(
 
 @pytest.mark.parametrize("setting", ["small", "middle", "full"])
 def test_pages_hold_what_their_lines_say(study: ModuleType, setting: str) -> None:
-    folder = Path(study.__file__).parent / ("" if setting == "small" else setting)
+    folder = Path(study.__file__).parent / ("" if setting == "full" else setting)
     lines = study.finished(folder / "results" / f"{setting}.jsonl")
     table = study.report.claims.table([line for line in lines if line["status"] == "done"])
     assert table in (folder / "RESULTS.md").read_text()

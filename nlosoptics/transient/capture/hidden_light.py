@@ -77,18 +77,18 @@ def hidden_light(capture: TransientCapture, *, start: float | None = None) -> Tr
     lags = (straight_paths(capture) - capture.t_start) / capture.delta_t
     origin = float(lags.max())  # bins before path 0 of the latest pair
     signal, spread, near = _mean_signal(capture, lags)
+    above = signal + CLEAR * spread  # beyond what noise explains
     if start is None:
         zero = int(np.argmax(signal[: near + 1]))  # the laser's own peak, if it is there
-        later = signal[zero:]
+        later = above[zero:]
         lowest = np.minimum.accumulate(later)
         at = np.maximum.accumulate(np.where(later == lowest, np.arange(len(later)), 0))
-        rises = np.flatnonzero(later > lowest + CLEAR * spread[zero:][at])
+        rises = np.flatnonzero(signal[zero:] > lowest)
         begin = zero + int(at[rises[0]]) if rises.size else len(signal)
     else:
         begin = int(np.ceil(real("start", start) / capture.delta_t + origin))
     after = np.arange(len(signal)) >= begin
-    least = float(signal[after].min(initial=np.inf))
-    dark = after & (signal <= least + CLEAR * spread)
+    dark = after & (signal <= above[after].min(initial=np.inf))
     level = float(signal[dark].mean()) if dark.any() else 0.0
     lit = np.flatnonzero(after & (signal > level + CLEAR * spread))
     if not lit.size:

@@ -40,7 +40,8 @@ class DepthMap(Noun):
     threshold : float
         Confidence below which a cell is taken as empty, 0 to 1.
     standard_error : ndarray, optional
-        (ny, nx): standard deviation of the error of ``depth``, m, from `advise`.
+        (ny, nx): standard deviation of the error of ``depth``, m, from `advise` or of an image of
+        `inverse_image`.
 
     See Also
     --------
@@ -161,6 +162,7 @@ def depth_map(
         x=image.volume.x,
         y=image.volume.y,
         threshold=share,
+        standard_error=image.details.get("standard_error"),
     )
 
 

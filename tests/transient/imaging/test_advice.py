@@ -73,6 +73,26 @@ def test_light_keeps_its_sum():
     assert light == pytest.approx(expected, abs=5.0 * (expected + 2.0 * 200 * 1024) ** 0.5)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_few_pairs_at_the_begin_of_a_window_do_not_decide(seed):
+    """Beyond the straight path, the first bins are those of the farthest points alone."""
+    sensors = np.linspace((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), 400)
+    beyond = 2.1 + 0.01 * np.arange(300)[:, None] - sensors[:, 0]
+    mean = 10.0 + 3.0 * ((beyond > 0.9) & (beyond < 1.2))
+    shot = transient.TransientCapture(
+        H=np.random.default_rng(seed).poisson(mean).astype(float),
+        laser_points=np.zeros(3),
+        sensor_points=sensors,
+        delta_t=0.01,
+        t_start=2.1,
+    )
+    facts = transient.hidden_light(shot).details["hidden_light"]
+    assert facts["start"] < 0.9
+    assert facts["stop"] == pytest.approx(1.2, abs=0.03)
+    # 5 standard deviations of the mean of 100 bins of 200 points
+    assert facts["background"] == pytest.approx(10.0, abs=0.1)
+
+
 def test_dark_captures_are_refused():
     with pytest.raises(SamplingError, match="no light of 5 standard deviations above"):
         transient.hidden_light(capture(0.0, dark=1.0))

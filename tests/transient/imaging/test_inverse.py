@@ -102,6 +102,21 @@ def test_a_letter_is_sharper_than_in_the_phasor_field(light, photons, gain):
     assert overlap(depths) > overlap(advice.depths) + gain
     assert np.nanmedian(np.abs(depths.depth - DEPTH)) < 0.003
     assert image.details["misfit"] == pytest.approx(1.0, abs=0.05)
+    seen = np.isfinite(depths.depth)
+    # 95 % by intention; a quarter of the distance of planes is more than this facing letter needs
+    assert np.mean(np.abs(depths.depth - DEPTH)[seen] < 1.96 * depths.standard_error[seen]) > 0.92
+    assert np.isnan(depths.standard_error[~seen]).all()
+
+
+def test_standard_errors_hold_the_scatter_between_captures(light):
+    """Depths differ between captures of the same light by no more than one of them says."""
+    maps = [fitted(capture(light, 2.0, seed))[1] for seed in range(4)]
+    seen = np.all([np.isfinite(d.depth) for d in maps], axis=0)
+    scatter = np.std([d.depth[seen] for d in maps], axis=0, ddof=1)
+    told = np.mean([d.standard_error[seen] for d in maps], axis=0)
+    systematic = 0.25 * 0.45 / 31  # m, of the distance of planes, which is 0.45 pitches
+    assert np.mean(scatter**2) < np.mean(told**2)
+    assert np.median(told) > 1.02 * systematic  # there is noise in it
 
 
 @pytest.mark.parametrize("power", [4, pytest.param(2, marks=pytest.mark.thorough)])
