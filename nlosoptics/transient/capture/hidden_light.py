@@ -38,7 +38,8 @@ def hidden_light(capture: TransientCapture, *, start: float | None = None) -> Tr
     -------
     TransientCapture
         Capture with the same points and bins; those before the scene's light and after it are 0.
-        The mean of the bins without light is subtracted, so that values may be below 0.
+        The mean of the bins without light is subtracted, of each pair as far as pairs differ beyond
+        their noise, so that values may be below 0.
         ``details["hidden_light"]`` holds begin and end of the light, ``start`` and ``stop``, m, and
         the ``background`` per bin.
 
@@ -99,9 +100,10 @@ def hidden_light(capture: TransientCapture, *, start: float | None = None) -> Tr
     offsets = (origin - lags).astype(np.int64)  # index of a pair's bin 0 in the signal
     bins = np.arange(capture.n_bins).reshape(-1, *[1] * offsets.ndim) + offsets
     end = int(lit[-1]) + 1
+    own = _own_levels(capture.H - level, np.append(dark, False)[np.minimum(bins, len(dark))])
     return replace(
         capture,
-        H=np.where((bins >= begin) & (bins < end), capture.H - level, 0.0),
+        H=np.where((bins >= begin) & (bins < end), capture.H - level - own, 0.0),
         quantity="unknown",
         by_bounce={},
         details=dict(capture.details)
@@ -113,6 +115,18 @@ def hidden_light(capture: TransientCapture, *, start: float | None = None) -> Tr
             }
         },
     )
+
+
+def _own_levels(rest: Array, dark: NDArray[np.bool_]) -> Array:
+    """Return the mean of each pair's dark values, shrunk to 0 as far as noise explains it.
+
+    The best linear estimate of levels whose variance is that of the means beyond their noise.
+    """
+    count = np.maximum(dark.sum(axis=0), 1)
+    own = rest.sum(axis=0, where=dark) / count
+    noise = ((rest**2).sum(axis=0, where=dark) / count - own**2) / count
+    spread = max(float(own.var() - noise.mean()), 0.0)
+    return np.asarray(own * (spread / np.maximum(spread + noise, 1e-300)))
 
 
 def pitch(capture: TransientCapture) -> float:

@@ -35,10 +35,7 @@ def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
     path = path_of("path", path)
     level = whole("compression", compression, 0, 9)
     # attributes larger than 64 KiB need the file format of HDF5 1.8
-    with (
-        whole_files(path) as (draft,),
-        h5py.File(draft, "w", libver=("v108", "v108")) as file,
-    ):
+    with whole_files(path) as (draft,), h5py.File(draft, "w", libver=("v108", "v108")) as file:
         _write(file, capture, level)
 
 

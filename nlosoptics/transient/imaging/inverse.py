@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from ..._progress import Progress
 from ..._random import checked_seed
 from ...errors import SamplingError
 from ..capture.capture import TransientCapture
-from ..capture.hidden_light import counts_photons
+from ..capture.hidden_light import counts_photons, hidden_light
 from ..capture.preprocessing import downsampled, gated
 from .advice import Advice, advise
 from .confocal_grids import confocal_grid
@@ -22,9 +23,10 @@ from .volume import Volume, VolumeImage
 
 Array = NDArray[np.floating]
 
-#: Weights of the total variation that are tried, in standard deviations of the gradient's noise.
-STRENGTHS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5)
-#: Iterations before and after the choice of a gain, at each weaker weight, and with all photons.
+#: Binary logarithm of the weight of the total variation that is tried first, and least and largest
+#: one, in standard deviations of the noise of the likelihood's gradient.
+FIRST, LEAST, MOST = 3, -2, 7
+#: Iterations at each weight, further ones at the best, and with all photons.
 BRANCH, FURTHER, LAST = 24, 25, 60
 #: Distance of planes and width of bins (of path), in pitches of the wall points.
 PLANES, BINS = 0.45, 0.8
@@ -91,9 +93,9 @@ def inverse_image(
     fitted too if that increases the likelihood of the other half of the photons. The two outermost
     cells take up light of objects beside the grid, and are 0 in the image.
 
-    The standard error of depths is half the difference of two images, each of half of the photons,
-    root mean square over a few cells, and a quarter of the distance of planes. At the rims of
-    slanted surfaces it is too small if there are few photons.
+    The standard error of depths is that of an image of half of the photons, from the difference of
+    two, root mean square over a few cells, and a quarter of the distance of planes. The total
+    variation flattens slanted surfaces, the more the fewer the photons, which is not in it.
 
     Examples
     --------
@@ -125,14 +127,15 @@ def inverse_image(
     chosen = advise(capture, seed=seed) if advice is None else expect("advice", advice, "Advice")
     fit, volume = _prepared(capture, chosen)
     half = np.random.default_rng(seed).binomial(fit.counts.astype(int), 0.5).astype(np.float32)
-    fit, first, strength = _chosen(fit.with_noise(half), half, progress)
-    part = fit.part(fit.counts - half)
-    other = part.albedo(FURTHER, strength, part.albedo(BRANCH, strength, part.start()))
+    fit, strength = _chosen(fit.with_noise(half), half, progress)
+    parts = [fit.part(half), fit.part(fit.counts - half)]
+    first, other = (part.albedo(BRANCH + FURTHER, strength, part.start()) for part in parts)
+    strength /= 2.0**0.5  # the same weight: all photons have the larger noise
     albedo = fit.albedo(LAST, strength, first + other)
     mean = fit.mean(albedo)
     misfit = float(np.mean((fit.counts - mean) ** 2 / mean))
     images = [
-        VolumeImage(intensity=_surfaces(a), volume=volume, method="inverse")
+        VolumeImage(intensity=_surfaces(a * fit.model.units), volume=volume, method="inverse")
         for a in (albedo, first, other)
     ]
     front = images[0].projection()
@@ -164,8 +167,8 @@ def _standard_error(images: list[VolumeImage], seen: NDArray[np.bool_]) -> Array
     from scipy.ndimage import gaussian_filter
 
     z = images[0].volume.z
-    off = 0.5 * (images[1].peak_depth() - images[2].peak_depth())
-    square = gaussian_filter(np.where(seen, off**2, 0.0), NEAR)
+    apart = images[1].peak_depth() - images[2].peak_depth()
+    square = gaussian_filter(np.where(seen, 0.5 * apart**2, 0.0), NEAR)
     share = gaussian_filter(seen.astype(np.float64), NEAR)
     error = np.sqrt(square / np.maximum(share, 1e-9) + (SYSTEMATIC * (z[1] - z[0])) ** 2)
     return np.where(seen, error, np.nan)
@@ -177,7 +180,7 @@ class _Fit:
 
     model: ConfocalModel
     counts: Array  # (bins, ny, nx)
-    background: Array  # (bins, 1, 1)
+    background: Array  # (bins, ny, nx)
     noise: float  # Standard deviation of the likelihood's gradient over the albedo
     gain: Array  # (ny, nx): factor of each wall point
     view: Array  # (ny, nx): front view of the phasor field, from above 0 to 1
@@ -288,33 +291,39 @@ def _prepared(capture: TransientCapture, advice: Advice) -> tuple[_Fit, Volume]:
     z = np.arange(near, max(lit[-1] + margin, near + 5 * PLANES * pitch), PLANES * pitch)
     model = ConfocalModel(grid, z, pulse)
     counts = light.H.astype(np.float32)
-    dark = background[first:last].reshape(n_bins, group).sum(axis=1).astype(np.float32)
+    dark = background[first:last].reshape(n_bins, group).sum(axis=1)[:, None, None]
+    # the level of each pair, which hidden_light has subtracted from its bins
+    middle = (first + last) // 2
+    level = (capture.H - hidden_light(capture, start=facts["start"]).H)[middle]
+    dark = np.maximum(dark + group * (level - facts["background"]), 0.0).astype(np.float32)
     seen = advice.image.intensity.max(axis=0)
     view = (FLOOR + seen / seen.max()).astype(np.float32)
-    fit = _Fit(model, counts, dark[:, None, None], 0.0, np.ones_like(view), view)
+    fit = _Fit(model, counts, dark, 0.0, np.ones_like(view), view)
     return fit, Volume(grid.x, grid.y, z)
 
 
-def _chosen(fit: _Fit, half: Array, progress: Progress | None) -> tuple[_Fit, Array, float]:
-    """Return gain, albedo and strength with the largest likelihood of the other half."""
+def _chosen(fit: _Fit, half: Array, progress: Progress | None) -> tuple[_Fit, float]:
+    """Return gain and strength whose fit of a half has the largest likelihood of the other half."""
     first, other = fit.part(half), fit.part(fit.counts - half)
-    strength = STRENGTHS[0]
-    begun = first.albedo(BRANCH, strength, first.start())
-    albedo = first.albedo(BRANCH, strength, begun)
-    gained, bright = first.refined(4, strength, begun)
-    best = other.likelihood(albedo)
-    if (level := replace(other, gain=gained.gain).likelihood(bright)) > best:
-        first, albedo = gained.refined(4, strength, bright)
+    begun = first.albedo(BRANCH, 2.0**FIRST, first.start())
+    albedo = first.albedo(BRANCH, 2.0**FIRST, begun)
+    gained, bright = first.refined(4, 2.0**FIRST, begun)
+    if replace(other, gain=gained.gain).likelihood(bright) > other.likelihood(albedo):
+        first, albedo = gained.refined(4, 2.0**FIRST, bright)
         other = replace(other, gain=first.gain)
-        best = max(level, other.likelihood(albedo))
-    for k, weaker in enumerate(STRENGTHS[1:]):
+
+    @cache
+    def level(k: int) -> float:
         if progress is not None:
-            progress(f"total variation of {weaker:g} deviations", 0.3 + 0.1 * k)
-        found = first.albedo(FURTHER, weaker, albedo)
-        if (level := other.likelihood(found)) <= best:
-            break
-        best, albedo, strength = level, found, weaker
-    return replace(fit, gain=first.gain), albedo, strength
+            progress(f"total variation of {2.0**k:g} deviations", 0.5)
+        return other.likelihood(first.albedo(BRANCH, 2.0**k, albedo))
+
+    best, step = FIRST, 1 if level(FIRST + 1) > level(FIRST) else -1
+    while LEAST < best < MOST and level(best + step) > level(best):
+        best += step
+    rise, fall = level(best) - level(best - 1), level(best) - level(best + 1)
+    vertex = 0.5 * (rise - fall) / (rise + fall) if min(rise, fall) > 0.0 else 0.0
+    return replace(fit, gain=first.gain), 2.0 ** (best + vertex)
 
 
 def _smoothed(albedo: Array, scale: Array, weight: float, flow: Array) -> tuple[Array, Array]:

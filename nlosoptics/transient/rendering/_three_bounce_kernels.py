@@ -423,11 +423,7 @@ def three_bounces(mesh, clear, world, pairs, known, limits, blocks, out, report)
     """
     lasers, sensors, turned, sight, starts = pairs
     for block in prange(blocks.size - 1):
-        room = (
-            np.empty((PIECES, 2 * CORNERS)),
-            np.empty(PIECES, dtype=np.int64),
-            shadow_room(),
-        )
+        room = np.empty((PIECES, 2 * CORNERS)), np.empty(PIECES, dtype=np.int64), shadow_room()
         first, second = outline_room(mesh), outline_room(mesh)
         pieces = np.empty((mesh[0].shape[0] + 16, 13))
         before = np.empty(out.shape[1])

@@ -172,9 +172,7 @@ def render(
         by_bounce[3] = np.ascontiguousarray((three.G * factor).T).reshape(scan.shape)
     by_bounce |= {n: factor * light for n, light in more.by_bounce.items()}
     errors = [factor * error for error in more.standard_error.values()]
-    H = by_bounce[fewest].copy()
-    for n in range(fewest + 1, most + 1):
-        H += by_bounce[n]
+    H = sum(by_bounce.values(), np.zeros(scan.shape))
     details: dict[str, Any] = {} if three is None else _details(three, factor, scan.shape[1:])
     details |= {
         "multiple_bounces": more.details,
@@ -216,11 +214,7 @@ def _details(three: ThreeBounces, factor: float, shape: tuple[int, ...]) -> dict
     }
 
 
-def _check_light(
-    three: ThreeBounces | None,
-    scan: Scan,
-    bounces: tuple[int, int],
-) -> None:
+def _check_light(three: ThreeBounces | None, scan: Scan, bounces: tuple[int, int]) -> None:
     """Raise if no light returns to the wall, or none within the bins."""
     if three is not None and three.G.any():
         return

@@ -54,6 +54,21 @@ def test_an_object_is_found_behind_direct_light(pairing):
     assert np.mean(confidence[seen]) > 0.9 > np.mean(confidence[~seen]) + 0.2
 
 
+@pytest.mark.parametrize("pairing", ["confocal", "all"])
+def test_hot_and_dead_pixels_show_nothing(pairing):
+    """Each pair has a background of its own, 1000 times that of others or none."""
+    shot = capture(dark=1.0, pairing=pairing)
+    pixels = np.random.default_rng(1).permutation(1024)
+    H = shot.H.reshape(200, 1024).copy()
+    H[:, pixels[:10]] += np.random.default_rng(2).poisson(1000.0, (200, 10))
+    H[:, pixels[10:40]] = 0.0
+    advice = transient.advise(replace(shot, H=H.reshape(shot.H.shape)))
+    seen = np.isfinite(advice.depths.depth)
+    x, y = np.meshgrid(advice.depths.x, advice.depths.y)
+    place = [float(np.mean(values[seen])) for values in (x, y, advice.depths.depth)]
+    assert place == pytest.approx(PLACE, abs=0.03)
+
+
 def test_fewer_photons_take_a_longer_wave():
     waves = [transient.advise(capture(n, dark=0.2 * n)).image.wl_mean for n in (100, 1)]
     assert waves[0] < waves[1]

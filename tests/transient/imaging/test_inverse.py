@@ -108,6 +108,18 @@ def test_a_letter_is_sharper_than_in_the_phasor_field(light, photons, gain):
     assert np.isnan(depths.standard_error[~seen]).all()
 
 
+def test_pixels_may_have_different_backgrounds_that_vary_slowly(light):
+    """Dark counts with an exponential distribution over pixels, a hot one, and a slow ripple."""
+    rng = np.random.default_rng(3)
+    dark = rng.exponential(2.0, (32, 32))
+    dark[5, 7] = 200.0
+    ripple = 1.0 + 0.2 * np.sin(np.arange(140) / 25.0)
+    shot = capture(light, 10.0)
+    H = shot.H + rng.poisson(dark * ripple[:, None, None])
+    assert overlap(fitted(replace(shot, H=H))[1]) > 0.6
+
+
+@pytest.mark.thorough
 def test_standard_errors_hold_the_scatter_between_captures(light):
     """Depths differ between captures of the same light by no more than one of them says."""
     maps = [fitted(capture(light, 2.0, seed))[1] for seed in range(4)]
