@@ -3,8 +3,8 @@
 python examples/phasor_study/study.py --setting small --out phasor_study [--report]
 
 One line of JSON for each finished case in OUT/SETTING.jsonl; started again, it goes on where it was
-cut off. Then RESULTS.md and pictures. "small" takes some minutes on two cores; "middle" has more
-laser points and five bounces; "full" has the paper's points and five bounces, and takes hours.
+cut off. Then RESULTS.md and pictures. "small" takes some minutes on two cores; "full" has the
+paper's points and five bounces, and takes hours.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from nlosoptics.errors import ValidityWarning
 
 Key = dict[str, Any]
 
-SETTINGS = ("smallest", "small", "middle", "full")
+SETTINGS = ("smallest", "small", "full")
 
 
 def keys(setting: str) -> list[Key]:
@@ -58,13 +58,6 @@ def keys(setting: str) -> list[Key]:
         forms: Key = {"materials": scenes.VARIANTS, "seeds": 1, "apertures": (1.792,), **small}
         others = [key for name in scenes.DEPTHS for key in _cases(name, 32, both, **forms)]
         return [*letters, *diffuse, *glossy, *(key for key in others if key["bounces"] > 3)]
-    if setting == "middle":
-        both = (0.056, 0.112)
-        middle: Key = {"max_bounces": 5, "tol": 1e-2, "n_rays": 1 << 17, "cell": 0.05}
-        letters = _cases("letters", 64, both, **middle)
-        diffuse = _cases("dragon", 64, both, materials=scenes.MATERIALS[:1], **middle)
-        glossy = _cases("dragon", 64, both, materials=scenes.MATERIALS[1:], seeds=1, **middle)
-        return [*letters, *diffuse, *glossy]
     fine = {"max_bounces": 5, "tol": 3e-3, "n_rays": 1 << 18}
     letters = _cases("letters", 64, (0.056, 0.112), **fine)
     dragon = _cases("dragon", 128, (0.028, 0.056), cell=0.02, **fine)

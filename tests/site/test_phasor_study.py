@@ -69,7 +69,7 @@ def test_smallest_setting_runs_and_goes_on_where_it_was_cut_off(
     assert again[names[1]]["mae"] == json.loads(texts[1])["mae"]
 
 
-@pytest.mark.parametrize("setting", ["small", "middle", "full"])
+@pytest.mark.parametrize("setting", ["small", "full"])
 def test_pages_hold_what_their_lines_say(study: ModuleType, setting: str) -> None:
     folder = Path(study.__file__).parent / ("" if setting == "full" else setting)
     lines = study.finished(folder / "results" / f"{setting}.jsonl")

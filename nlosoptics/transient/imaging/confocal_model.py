@@ -18,9 +18,6 @@ RISE = 0.7
 class ConfocalModel:
     """Light of a matt facing surface, at each wall point and bin, for voxels behind wall points.
 
-    Brightness has a unit at each depth, the albedo whose light has the root sum square 1 over the
-    wall points: ``units`` (nz, 1, 1). So its noise is nearly as large at all depths.
-
     The light of a voxel depends on its lateral distance from the wall point alone, so that each
     lateral frequency of the capture is a real matrix (bins, planes) times that of the albedo.
 
@@ -51,7 +48,7 @@ class ConfocalModel:
         y = steps[1] * np.arange(ny + 1)[:, None]
         ends = 2.0 * (grid.start + grid.pitch * np.arange(grid.n_bins + 1))[:, None, None]
         light = np.empty((ny + 1, nx + 1, grid.n_bins, len(z)), dtype=np.float32)
-        self.units = np.empty((len(z), 1, 1), dtype=np.float32)
+        self.totals = np.empty((len(z), 1, 1), dtype=np.float32)  # light of a voxel, at all times
         for k, depth in enumerate(z):
             r = np.sqrt(x**2 + y**2 + depth**2)
             # standard deviation of the path over a voxel
@@ -65,16 +62,16 @@ class ConfocalModel:
                     for share, off in ((0.25, -(2.0**0.5)), (0.5, 0.0), (0.25, 2.0**0.5))
                 )
             cosines = (depth / r) ** 4 * (z.mean() / r) ** 4
-            self.units[k] = 1.0 / np.sqrt((cosines**2).sum())
-            light[..., k] = np.moveaxis(np.diff(before, axis=0) * cosines * self.units[k], 0, -1)
+            self.totals[k] = 4.0 * cosines.sum()
+            light[..., k] = np.moveaxis(np.diff(before, axis=0) * cosines, 0, -1)
         light[-1], light[:, -1] = 0.0, 0.0
         # even over both axes, with the period of twice the grid
         matrices = scipy.fft.dctn(light, type=1, axes=(0, 1), overwrite_x=True)
         self._matrices = matrices.reshape(-1, grid.n_bins, len(z))
 
-    def light(self, bright: Array) -> Array:
-        """Return the expected counts (bins, ny, nx) of voxels (nz, ny, nx)."""
-        return self._back(self._matrices @ self._waves(bright))
+    def light(self, albedo: Array) -> Array:
+        """Return the expected counts (bins, ny, nx) of an albedo (nz, ny, nx)."""
+        return self._back(self._matrices @ self._waves(albedo))
 
     def adjoint(self, light: Array) -> Array:
         """Return the adjoint of `light`, (nz, ny, nx)."""

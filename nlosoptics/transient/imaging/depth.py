@@ -186,7 +186,8 @@ def depth_error(
     truth : array_like
         True depths on the same cells, (ny, nx), m; NaN for cells without a surface.
     n_thresholds : int
-        Number n of thresholds to try: 0, 1/n, ..., 1 - 1/n.
+        Number n of thresholds to try: those that leave out 0, 1/n, 2/n, ... of the cells in which
+        both maps have a depth.
     min_coverage : float
         Least coverage of a threshold that may be used, 0 to 1. The coverage is the fraction of the
         cells with a true depth that have a reconstructed depth at this threshold. Without this
@@ -241,7 +242,9 @@ def depth_error(
     both = there & seen
     wrong = np.abs(found.depth - true)
     n_thresholds = whole("n_thresholds", n_thresholds)
-    thresholds = np.arange(n_thresholds) / n_thresholds
+    # each leaves out as many cells more; brightness may vary by orders of magnitude
+    shares = np.arange(n_thresholds) / n_thresholds
+    thresholds = np.quantile(found.confidence[both], shares) if both.any() else shares
     curve = np.full((n_thresholds, 3), np.nan)
     curve[:, 0] = thresholds
     for i, share in enumerate(thresholds):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,9 @@ Array = NDArray[np.floating]
 
 #: Binary logarithm of the weight of the total variation that is tried first, and least and largest
 #: one, in standard deviations of the noise of the likelihood's gradient.
-FIRST, LEAST, MOST = 3, -2, 7
-#: Iterations at each weight, further ones at the best, and with all photons.
-BRANCH, FURTHER, LAST = 24, 25, 60
+FIRST, LEAST, MOST = 2, -2, 7
+#: Iterations before the choice of a gain, at each weight, and with all photons.
+BRANCH, EACH, LAST = 24, 49, 60
 #: Distance of planes and width of bins (of path), in pitches of the wall points.
 PLANES, BINS = 0.45, 0.8
 #: Least albedo of a surface, relative to the mean over the picture weighted by its square.
@@ -127,16 +127,13 @@ def inverse_image(
     chosen = advise(capture, seed=seed) if advice is None else expect("advice", advice, "Advice")
     fit, volume = _prepared(capture, chosen)
     half = np.random.default_rng(seed).binomial(fit.counts.astype(int), 0.5).astype(np.float32)
-    fit, strength = _chosen(fit.with_noise(half), half, progress)
-    parts = [fit.part(half), fit.part(fit.counts - half)]
-    first, other = (part.albedo(BRANCH + FURTHER, strength, part.start()) for part in parts)
-    strength /= 2.0**0.5  # the same weight: all photons have the larger noise
-    albedo = fit.albedo(LAST, strength, first + other)
+    fit, halves, strength = _chosen(fit.with_noise(half), half, progress)
+    albedo = fit.albedo(LAST, strength, halves[0] + halves[1])
     mean = fit.mean(albedo)
     misfit = float(np.mean((fit.counts - mean) ** 2 / mean))
     images = [
-        VolumeImage(intensity=_surfaces(a * fit.model.units), volume=volume, method="inverse")
-        for a in (albedo, first, other)
+        VolumeImage(intensity=_surfaces(a), volume=volume, method="inverse")
+        for a in (albedo, *halves)
     ]
     front = images[0].projection()
     plateau = float((front**3).sum() / (front**2).sum())
@@ -199,13 +196,19 @@ class _Fit:
         level = np.maximum(self.counts.mean(axis=(1, 2), keepdims=True), self.background) + 1e-6
         # the difference of both halves has the noise of their sum, and no signal
         noise = self.model.adjoint((2.0 * half - self.counts) / level)
-        return replace(self, noise=float(np.sqrt(np.mean(noise**2))))
+        # the nearest planes have many times the noise of others
+        return replace(self, noise=float(np.sqrt(np.median(np.mean(noise**2, axis=(1, 2))))))
 
     def part(self, counts: Array) -> _Fit:
         """Return the fit of a random half of the photons."""
-        return replace(
-            self, counts=counts, background=0.5 * self.background, noise=self.noise / 2.0**0.5
-        )
+        noise = self.noise / 2.0**0.5
+        return replace(self, counts=counts, background=0.5 * self.background, noise=noise)
+
+    @cached_property
+    def seen(self) -> Array:
+        """Light of each voxel of albedo 1 in the window, at least 2 % of that at all times."""
+        seen = self.model.adjoint(np.ones_like(self.counts) * self.gain)
+        return np.asarray(np.maximum(seen, 0.02 * self.model.totals))
 
     def start(self) -> Array:
         """Return an albedo that is even over z, with the phasor field's view."""
@@ -220,8 +223,6 @@ class _Fit:
         et al., 2008), and extrapolated by the ratio of successive steps (Biggs, Andrews, 1997).
         """
         weight = strength * self.noise
-        seen = self.model.adjoint(np.ones_like(self.counts) * self.gain)
-        seen = np.maximum(seen, 0.02 * seen.max())
         flow = np.zeros((2, *start.shape), dtype=np.float32)
         old, albedo, step, before = start, start, *np.zeros((2, *start.shape), dtype=np.float32)
         for _ in range(iterations):
@@ -229,7 +230,7 @@ class _Fit:
             along = min(max(float((step * before).sum()) / power, 0.0), 0.97) if power else 0.0
             ahead = np.maximum(albedo + along * (albedo - old), 1e-3 * albedo)
             ratio = self.model.adjoint(self.gain * (self.counts / self.mean(ahead)))
-            scale = ahead / seen
+            scale = ahead / self.seen
             flow, new = _smoothed(np.maximum(ratio, 0.0) * scale, scale, weight, flow)
             new = np.maximum(new, 1e-9 * new.max())
             before, step = step, new - ahead
@@ -302,28 +303,36 @@ def _prepared(capture: TransientCapture, advice: Advice) -> tuple[_Fit, Volume]:
     return fit, Volume(grid.x, grid.y, z)
 
 
-def _chosen(fit: _Fit, half: Array, progress: Progress | None) -> tuple[_Fit, float]:
-    """Return gain and strength whose fit of a half has the largest likelihood of the other half."""
+def _chosen(
+    fit: _Fit, half: Array, progress: Progress | None
+) -> tuple[_Fit, tuple[Array, Array], float]:
+    """Return gain, albedo by both halves, and the strength for all photons.
+
+    Gain and strength have the largest likelihood of the other half. Vertex: of a parabola.
+    """
     first, other = fit.part(half), fit.part(fit.counts - half)
     begun = first.albedo(BRANCH, 2.0**FIRST, first.start())
     albedo = first.albedo(BRANCH, 2.0**FIRST, begun)
     gained, bright = first.refined(4, 2.0**FIRST, begun)
     if replace(other, gain=gained.gain).likelihood(bright) > other.likelihood(albedo):
-        first, albedo = gained.refined(4, 2.0**FIRST, bright)
+        first = gained.refined(4, 2.0**FIRST, bright)[0]
         other = replace(other, gain=first.gain)
 
     @cache
-    def level(k: int) -> float:
+    def tried(k: int) -> tuple[float, Array]:
         if progress is not None:
             progress(f"total variation of {2.0**k:g} deviations", 0.5)
-        return other.likelihood(first.albedo(BRANCH, 2.0**k, albedo))
+        albedo = first.albedo(EACH, 2.0**k, first.start())
+        return other.likelihood(albedo), albedo
 
-    best, step = FIRST, 1 if level(FIRST + 1) > level(FIRST) else -1
-    while LEAST < best < MOST and level(best + step) > level(best):
+    best, step = FIRST, 1 if tried(FIRST + 1)[0] > tried(FIRST)[0] else -1
+    while LEAST < best < MOST and tried(best + step)[0] > tried(best)[0]:
         best += step
-    rise, fall = level(best) - level(best - 1), level(best) - level(best + 1)
+    rise, fall = (tried(best)[0] - tried(near)[0] for near in (best - 1, best + 1))
     vertex = 0.5 * (rise - fall) / (rise + fall) if min(rise, fall) > 0.0 else 0.0
-    return replace(fit, gain=first.gain), 2.0 ** (best + vertex)
+    halves = tried(best)[1], other.albedo(EACH, 2.0**best, other.start())
+    # the same weight for all photons, whose noise is larger
+    return replace(fit, gain=first.gain), halves, 2.0 ** (best + vertex - 0.5)
 
 
 def _smoothed(albedo: Array, scale: Array, weight: float, flow: Array) -> tuple[Array, Array]:

@@ -74,7 +74,17 @@ def test_the_best_threshold_leaves_out_what_is_wrong():
     assert error.missed == pytest.approx(6 / 24)
     assert error.false == pytest.approx(6 / 24)  # the first row, of 24 that are found
     assert error.curve[0, 1] == pytest.approx((18 * 0.02 + 6 * 0.2) / 24, abs=1e-12)
-    assert error.curve[:, 0] == pytest.approx(np.arange(20) / 20)
+    assert (np.diff(error.curve[:, 0]) >= 0.0).all()
+
+
+def test_thresholds_leave_out_equal_shares():
+    """Brightness over six orders of magnitude: the best threshold keeps just what it must."""
+    truth = np.full((5, 6), Z[20])
+    height = 10.0 ** np.linspace(-6.0, 0.0, 30).reshape(5, 6)
+    seen = truth + 0.002 * np.arange(29, -1, -1).reshape(5, 6)  # m, the brighter the better
+    error = depth_error(picture(seen, height), truth, n_thresholds=30)
+    assert error.coverage == pytest.approx(0.5, abs=1 / 30)
+    assert error.threshold < 0.01
 
 
 def test_a_threshold_may_not_leave_too_few():
