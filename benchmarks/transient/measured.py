@@ -70,14 +70,14 @@ def figures(image, nominal):
     """Errors of a picture against a plane at the nominal depth."""
     truth = np.full(image.volume.shape[1:], nominal)
     error = transient.depth_error(image, truth, min_coverage=LEAST)
-    half = error.curve[np.searchsorted(error.curve[:, 0], 0.5)]
+    bright = transient.depth_map(image, threshold=0.5)
     return {
         "median_m": nominal + error.median,
         "mae_m": error.mae,
         "threshold": error.threshold,
         "coverage": error.coverage,
-        "mae_at_half_m": float(half[1]),
-        "coverage_at_half": float(half[2]),
+        "mae_at_half_m": float(np.nanmean(np.abs(bright.depth - nominal))),
+        "coverage_at_half": bright.coverage,
     }
 
 

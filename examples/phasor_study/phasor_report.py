@@ -118,9 +118,9 @@ on depth through what it shows at all, and sideways:
 - A wide lobe scales all of that by one number, and one scale for all changes no depth. A narrow one
   takes light from edges, which alone tell of the letters' columns without mirror points.
 - A rounded form has mirror points at any aperture, on either side of the middle, and no second
-  surface 0.45 m behind the first. So the dragon's error falls less with the aperture, and with the
-  lobe it goes either way. The best threshold is each aperture's own and keeps other columns; over
-  all true cells (above) apertures are compared on the same ones.
+  surface 0.45 m behind the first. So the dragon's error falls less with the aperture and rises less
+  with a narrower lobe. The best threshold is each aperture's own and keeps other columns; over all
+  true cells (above) apertures are compared on the same ones.
 
 | scene | wavelength, cm | voxel, cm | aperture, m | of the outline | of the brightness |
 |---|---|---|---|---|---|

@@ -48,7 +48,6 @@ class ConfocalModel:
         y = steps[1] * np.arange(ny + 1)[:, None]
         ends = 2.0 * (grid.start + grid.pitch * np.arange(grid.n_bins + 1))[:, None, None]
         light = np.empty((ny + 1, nx + 1, grid.n_bins, len(z)), dtype=np.float32)
-        self.totals = np.empty((len(z), 1, 1), dtype=np.float32)  # light of a voxel, at all times
         for k, depth in enumerate(z):
             r = np.sqrt(x**2 + y**2 + depth**2)
             # standard deviation of the path over a voxel
@@ -62,7 +61,6 @@ class ConfocalModel:
                     for share, off in ((0.25, -(2.0**0.5)), (0.5, 0.0), (0.25, 2.0**0.5))
                 )
             cosines = (depth / r) ** 4 * (z.mean() / r) ** 4
-            self.totals[k] = 4.0 * cosines.sum()
             light[..., k] = np.moveaxis(np.diff(before, axis=0) * cosines, 0, -1)
         light[-1], light[:, -1] = 0.0, 0.0
         # even over both axes, with the period of twice the grid

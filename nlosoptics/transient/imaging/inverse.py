@@ -25,9 +25,9 @@ Array = NDArray[np.floating]
 
 #: Binary logarithm of the weight of the total variation that is tried first, and least and largest
 #: one, in standard deviations of the noise of the likelihood's gradient.
-FIRST, LEAST, MOST = 2, -2, 7
+FIRST, LEAST, MOST = 2, -1, 7
 #: Iterations before the choice of a gain, at each weight, and with all photons.
-BRANCH, EACH, LAST = 24, 49, 60
+BRANCH, EACH, LAST = 24, 40, 40
 #: Distance of planes and width of bins (of path), in pitches of the wall points.
 PLANES, BINS = 0.45, 0.8
 #: Least albedo of a surface, relative to the mean over the picture weighted by its square.
@@ -206,9 +206,9 @@ class _Fit:
 
     @cached_property
     def seen(self) -> Array:
-        """Light of each voxel of albedo 1 in the window, at least 2 % of that at all times."""
+        """Light of each voxel of albedo 1, at least some of that in the middle of most planes."""
         seen = self.model.adjoint(np.ones_like(self.counts) * self.gain)
-        return np.asarray(np.maximum(seen, 0.02 * self.model.totals))
+        return np.asarray(np.maximum(seen, 0.15 * np.median(seen.max(axis=(1, 2)))))
 
     def start(self) -> Array:
         """Return an albedo that is even over z, with the phasor field's view."""
@@ -321,7 +321,7 @@ def _chosen(
     @cache
     def tried(k: int) -> tuple[float, Array]:
         if progress is not None:
-            progress(f"total variation of {2.0**k:g} deviations", 0.5)
+            progress(f"total variation {2.0**k:g}", 0.2 + 0.1 * tried.cache_info().currsize)
         albedo = first.albedo(EACH, 2.0**k, first.start())
         return other.likelihood(albedo), albedo
 
