@@ -264,7 +264,7 @@ def depth_of_field(wavelength: float, aperture: float, points: int, depth: float
     light = np.abs(np.exp(2j * np.pi / wavelength * longer) @ count) / count.sum()
     dim = light**2 < 0.5
     below, above = z[dim & (z < depth)], z[dim & (z > depth)]
-    return float(above.min() - below.max())
+    return float(above.min(initial=np.inf) - below.max(initial=0.0))
 
 
 def _focus(lines: list[Line]) -> tuple[str, str, str] | None:

@@ -57,15 +57,16 @@ def _head(lines: list[Line], setting: str, refused: int) -> str:
         pitch = 179.2 / chosen[0]["points"]
         scenes.append(
             f"{name}: {chosen[0]['points']} x {chosen[0]['points']} laser points {pitch:.3g} cm "
-            f"apart, {_triangles(chosen[0])} triangles, wavelengths {waves} cm"
+            f"apart, {_triangles(chosen[0])} triangles, wavelengths {waves} cm, bins of "
+            f"{1e2 * chosen[0]['bin']:.2g} cm"
         )
     count = len(_all(lines, "seed"))
     seeds = f"{count} seed{'s' if count > 1 else ''}"
     text = f"""Made by `study.py --setting {setting}`: {len(lines)} cases, {refused} refused.
-{"; ".join(scenes)}. Up to {seeds} and {some["max_bounces"]} bounces, bins
-of {1e2 * some["bin"]:.2g} cm; seconds are of a shared machine ({platform.machine()}). The error of
-depths is the mean of its absolute value over the cells that the best threshold leaves, which must
-be half of the true ones at least."""
+{"; ".join(scenes)}. Up to {seeds} and {some["max_bounces"]} bounces; seconds
+are of a shared machine ({platform.machine()}). The error of depths is the mean of its absolute
+value over the cells that the best threshold leaves, which must be half of the true ones at
+least."""
     return "# Reflectance and phasor fields: what came out\n\n" + textwrap.fill(text, 100)
 
 

@@ -328,8 +328,10 @@ def _chosen(
     best, step = FIRST, 1 if tried(FIRST + 1)[0] > tried(FIRST)[0] else -1
     while LEAST < best < MOST and tried(best + step)[0] > tried(best)[0]:
         best += step
-    rise, fall = (tried(best)[0] - tried(near)[0] for near in (best - 1, best + 1))
-    vertex = 0.5 * (rise - fall) / (rise + fall) if min(rise, fall) > 0.0 else 0.0
+    vertex = 0.0
+    if LEAST < best < MOST:
+        rise, fall = (tried(best)[0] - tried(near)[0] for near in (best - 1, best + 1))
+        vertex = 0.5 * (rise - fall) / max(rise + fall, 1e-9)
     halves = tried(best)[1], other.albedo(EACH, 2.0**best, other.start())
     # the same weight for all photons, whose noise is larger
     return replace(fit, gain=first.gain), halves, 2.0 ** (best + vertex - 0.5)
