@@ -25,7 +25,7 @@ Array = NDArray[np.floating]
 
 #: Binary logarithm of the weight of the total variation that is tried first, and least and largest
 #: one, in standard deviations of the noise of the likelihood's gradient.
-FIRST, LEAST, MOST = 2, -1, 7
+FIRST, LEAST, MOST = 1, 0, 7
 #: Iterations before the choice of a gain, at each weight, and with all photons.
 BRANCH, EACH, LAST = 24, 40, 40
 #: Distance of planes and width of bins (of path), in pitches of the wall points.
