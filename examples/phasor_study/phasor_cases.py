@@ -165,7 +165,8 @@ def measured(
     outline = np.isfinite(truth)
     straight = outline & (cosines >= FACING)
     aslant = outline & (cosines < FACING)
-    figures: dict[str, Any] = {
+    off = np.abs(wrong[straight])
+    figures = {
         "mae": best.mae,
         "mae_voxels": coarse.mae,
         "mae_paper": paper.mae,
@@ -177,26 +178,12 @@ def measured(
         "overlap": overlap(peaks.confidence, outline),
         "facing": _mean(peaks.confidence[straight]),
         "aslant": _mean(peaks.confidence[aslant]),
-        **shown_of(wrong, straight, aslant),
+        "shown_facing": _mean(np.isfinite(off)),
+        "mae_facing": _mean(off[np.isfinite(off)]),
         "brightest": float(image.intensity.max()),
     }
     shown = {"light": peaks.confidence, "truth": truth, "wrong": wrong}
     return figures, shown
-
-
-def shown_of(
-    wrong: Array, straight: NDArray[np.bool_], aslant: NDArray[np.bool_]
-) -> dict[str, float | None]:
-    """Shares of facing and slanted columns brighter than the threshold, and their errors of depth.
-
-    ``wrong`` is NaN in darker columns.
-    """
-    found: dict[str, float | None] = {}
-    for name, there in (("facing", straight), ("aslant", aslant)):
-        off = np.abs(wrong[there])
-        found[f"shown_{name}"] = _mean(np.isfinite(off))
-        found[f"mae_{name}"] = _mean(off[np.isfinite(off)])
-    return found
 
 
 def kept_pictures(line: dict[str, Any], folder: Path) -> dict[str, Array] | None:

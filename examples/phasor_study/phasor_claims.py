@@ -48,11 +48,10 @@ def table(lines: list[Line]) -> str:
         "| the paper | found here | holds |",
         "|---|---|---|",
     ]
-    found: list[tuple[str, str, str] | None] = []
-    for claim in (
-        _reflectance, _aperture, _detail, _roughness, _facing, _glossy, _focus, _ward, _voxels,
-    ):  # fmt: skip
-        found.append(claim(deepest))
+    of_deepest = (
+        _reflectance, _aperture, _detail, _roughness, _facing, _glossy, _focus, _ward, _voxels
+    )  # fmt: skip
+    found = [claim(deepest) for claim in of_deepest]
     for row in [*found, _variants(deepest, later), _bounces(lines)]:
         if row is not None:
             rows.append("| " + " | ".join(row) + " |")
@@ -297,33 +296,24 @@ def _focus(lines: list[Line]) -> tuple[str, str, str] | None:
 def _variants(lines: list[Line], later: list[Line]) -> tuple[str, str, str] | None:
     """Errors and brightness of the forms of Ward's model."""
     told = []
-    for place in places(later):
-        for material in dict.fromkeys(x["material"] for x in later):
+    for material in dict.fromkeys(x["material"] for x in later):
+        ratios, steps = [], []
+        for place in places(later):
             form = chosen(later, place, material=material)
-            first = chosen(
-                lines,
-                place,
-                material=material.rpartition("-")[0],
-                seed=0,
-                aperture=form[0]["aperture"],
-            )
-            errors = [1e3 * all_of(x, "mae").mean() for x in (first, form)]
-            ratio = np.sqrt(np.divide(*[all_of(x, "brightest").mean() for x in (form, first)]))
-            told.append((material, place, errors, ratio))
+            same = {"seed": 0, "aperture": form[0]["aperture"]}
+            first = chosen(lines, place, material=material.rpartition("-")[0], **same)
+            fields = (all_of(x, "brightest").mean() for x in (form, first))
+            ratios.append(np.sqrt(np.divide(*fields)))
+            steps.append(1e3 * (all_of(form, "mae").mean() - all_of(first, "mae").mean()))
+        told.append(
+            f"{material}: {min(ratios):.2f} to {max(ratios):.2f} of the field, error changed by "
+            f"{np.median(steps):+.1f} mm in the median, {min(steps):+.1f} to {max(steps):+.1f}"
+        )
     if not told:
         return None
-    parts = []
-    for material in dict.fromkeys(name for name, *_ in told):
-        errors = np.array([e for name, _, e, _ in told if name == material])
-        ratios = [r for name, _, _, r in told if name == material]
-        steps = errors[:, 1] - errors[:, 0]
-        parts.append(
-            f"{material}: {min(ratios):.2f} to {max(ratios):.2f} of the field, error changed by "
-            f"{np.median(steps):+.1f} mm in the median, {steps.min():+.1f} to {steps.max():+.1f}"
-        )
     text = (
         "later forms beside that of 1992, over both scenes and all wavelengths and voxels: "
-        + "; ".join(parts)
+        + "; ".join(told)
     )
     return "Ward's model of 1992 (the paper does not say which form)", text, "no claim"
 

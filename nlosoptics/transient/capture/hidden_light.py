@@ -97,13 +97,14 @@ def hidden_light(capture: TransientCapture, *, start: float | None = None) -> Tr
             f"the capture has no light of {CLEAR:g} standard deviations above its background; give "
             "a capture of more photons or an earlier start"
         )
-    offsets = (origin - lags).astype(np.int64)  # index of a pair's bin 0 in the signal
-    bins = np.arange(capture.n_bins).reshape(-1, *[1] * offsets.ndim) + offsets
+    # index of each value in the signal
+    bins = np.arange(capture.n_bins).reshape(-1, *[1] * lags.ndim) + (origin - lags).astype(int)
     end = int(lit[-1]) + 1
-    own = _own_levels(capture.H - level, np.append(dark, False)[np.minimum(bins, len(dark))])
+    rest = capture.H - level
+    rest -= _own_levels(rest, np.append(dark, False)[np.minimum(bins, len(dark))])
     return replace(
         capture,
-        H=np.where((bins >= begin) & (bins < end), capture.H - level - own, 0.0),
+        H=np.where((bins >= begin) & (bins < end), rest, 0.0),
         quantity="unknown",
         by_bounce={},
         details=dict(capture.details)

@@ -131,20 +131,20 @@ def inverse_image(
     albedo = fit.albedo(LAST, strength, halves[0] + halves[1])
     mean = fit.mean(albedo)
     misfit = float(np.mean((fit.counts - mean) ** 2 / mean))
-    images = [
+    image, *parts = (
         VolumeImage(intensity=_surfaces(a), volume=volume, method="inverse")
         for a in (albedo, *halves)
-    ]
-    front = images[0].projection()
+    )
+    front = image.projection()
     plateau = float((front**3).sum() / (front**2).sum())
     threshold = min(PLATEAU * plateau / float(front.max()), 1.0)
     details = {
         "threshold": threshold,
         "strength": strength,
         "misfit": misfit,
-        "standard_error": _standard_error(images, front >= threshold * front.max()),
+        "standard_error": _standard_error(parts, front >= threshold * front.max()),
     }
-    return replace(images[0], seconds=time.perf_counter() - begun, details=details)
+    return replace(image, seconds=time.perf_counter() - begun, details=details)
 
 
 def _surfaces(albedo: Array) -> Array:
@@ -159,12 +159,12 @@ def _surfaces(albedo: Array) -> Array:
     return np.asarray(correlate1d(kept, np.array([1, 2, 3, 2, 1]) / 3.0, axis=0, mode="constant"))
 
 
-def _standard_error(images: list[VolumeImage], seen: NDArray[np.bool_]) -> Array:
-    """Return that of the depths of the cells ``seen``, (ny, nx), from images of all and halves."""
+def _standard_error(parts: list[VolumeImage], seen: NDArray[np.bool_]) -> Array:
+    """Return that of the depths of the cells ``seen``, (ny, nx), from images of both halves."""
     from scipy.ndimage import gaussian_filter
 
-    z = images[0].volume.z
-    apart = images[1].peak_depth() - images[2].peak_depth()
+    z = parts[0].volume.z
+    apart = parts[0].peak_depth() - parts[1].peak_depth()
     square = gaussian_filter(np.where(seen, 0.5 * apart**2, 0.0), NEAR)
     share = gaussian_filter(seen.astype(np.float64), NEAR)
     error = np.sqrt(square / np.maximum(share, 1e-9) + (SYSTEMATIC * (z[1] - z[0])) ** 2)
@@ -308,7 +308,7 @@ def _chosen(
 ) -> tuple[_Fit, tuple[Array, Array], float]:
     """Return gain, albedo by both halves, and the strength for all photons.
 
-    Gain and strength have the largest likelihood of the other half. Vertex: of a parabola.
+    Gain and strength are those whose fit of one half has the largest likelihood of the other.
     """
     first, other = fit.part(half), fit.part(fit.counts - half)
     begun = first.albedo(BRANCH, 2.0**FIRST, first.start())
@@ -328,7 +328,7 @@ def _chosen(
     best, step = FIRST, 1 if tried(FIRST + 1)[0] > tried(FIRST)[0] else -1
     while LEAST < best < MOST and tried(best + step)[0] > tried(best)[0]:
         best += step
-    vertex = 0.0
+    vertex = 0.0  # of the parabola through three likelihoods
     if LEAST < best < MOST:
         rise, fall = (tried(best)[0] - tried(near)[0] for near in (best - 1, best + 1))
         vertex = 0.5 * (rise - fall) / max(rise + fall, 1e-9)
