@@ -29,7 +29,7 @@ def prepared(study: Study, path: Path) -> tuple[Store, Study]:
     store = Store.open(path, write=True)
     about: dict[str, Any] = about_study(study) | {"versions": versions()}
     if store is None:
-        store = Store.create(path, about=about, files=study.base.files)
+        store = Store.create(path, study.base.files)
     else:
         stored = study_of(store)
         study = study.with_trials(store.trials()) if study.variables else study

@@ -59,15 +59,15 @@ class Store:
 
     def __init__(self, path: Path, group: zarr.Group) -> None:
         self.path, self._group = path, group
-        self.about: dict[str, Any] = dict(group.attrs["about"])  # type: ignore[arg-type]
+        self.about: dict[str, Any] = dict(group.attrs.get("about", {}))  # type: ignore[arg-type]
         self._arrays: dict[str, Any] = {name: group[name] for name in ARRAYS}
         self._values = {name: np.asarray(array[:]) for name, array in self._arrays.items()}
         self._values["message"] = self._values["message"].astype(object)
         self.ids = [str(name) for name in self._values["id"] if name]
 
     @classmethod
-    def create(cls, path: Path, *, about: Mapping[str, Any], files: Mapping[str, bytes]) -> Store:
-        """Create an empty store; what a killed creation left at ``path`` is replaced."""
+    def create(cls, path: Path, files: Mapping[str, bytes]) -> Store:
+        """Create an empty store, which `add` completes; what a killed creation left is replaced."""
         import zarr  # here, so that a script's workers, which import what it does, load without
 
         with writing(path):
@@ -87,13 +87,12 @@ class Store:
             group.create_array(
                 "trials", shape=(0,), chunks=(ROWS,), dtype=str, fill_value="", overwrite=True
             )
-            group.attrs["about"] = dict(about) | {"figures": []}  # last: now it is a store
         return cls(path, group)
 
     @classmethod
     def open(cls, path: Path, *, write: bool = False) -> Store | None:
         """Open a store; None if there is none, or one whose creation was interrupted."""
-        if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        if not path.is_file() and all(one.suffix == ".partial" for one in path.glob("*")):
             return None
         import zarr
 
@@ -168,7 +167,7 @@ class Store:
                     values = np.full(shape, empty, dtype=object if empty == "" else old.dtype)
                     values[tuple(map(slice, old.shape))] = old
                     self._values[name] = values
-            if about is not None:
+            if about is not None:  # after the columns of its figures; now it is a store
                 self._group.attrs["about"] = self.about
             self._values["id"][first:count], self.ids = ids, [*self.ids, *ids]
             if ids:  # last, since the store has the rows that have an id

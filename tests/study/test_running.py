@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zarr
+from zarr.storage import LocalStore
 
 from nlosoptics import imaging, limits, psf
 from nlosoptics.errors import SceneError, ValidityWarning
@@ -363,34 +365,45 @@ def test_a_store_has_few_files(tmp_path: Path) -> None:
     assert sum(path.is_file() for path in (tmp_path / "store").rglob("*")) < 25
 
 
-@pytest.mark.parametrize("steps", [0, 1, 4])
+class Ended(BaseException):
+    """In place of a killed process."""
+
+
+@pytest.mark.parametrize("before", [False, True])
 @pytest.mark.thorough
-def test_a_growth_that_ends_between_its_steps_is_read_and_goes_on(
-    steps: int, tmp_path: Path, monkeypatch
+def test_a_run_that_ends_at_any_write_is_read_and_goes_on(
+    before: bool, tmp_path: Path, monkeypatch
 ) -> None:
-    """The arrays of a store are made longer one by one."""
+    """At each file that creation, growth and results write, in turn."""
     few = made(own("drawn"), axes={"laser.power": ["1 mW", "3 mW"]})
-    many = made(own("drawn"), own("power"))
-    run_study(few, tmp_path / "store", workers=0)
-    calls, resize = [], zarr.Array.resize
+    many = made(own("drawn"), own("power"), axes={"laser.power": ["1 mW", "2 mW", "3 mW"]})
+    once, put = run_study(many, tmp_path / "once", workers=0), LocalStore.set
+    run_study(few, tmp_path / "few", workers=0)
+    for allowed in range(99):
+        store, left = tmp_path / str(allowed), iter(range(allowed))
+        if before:
+            shutil.copytree(tmp_path / "few", store)
 
-    def ends(self, shape) -> None:
-        if len(calls) == steps:
-            raise KeyboardInterrupt
-        calls.append(shape)
-        resize(self, shape)
+        async def ends(*given, left=left) -> None:
+            if next(left, None) is None:
+                raise Ended
+            await put(*given)
 
-    with monkeypatch.context() as broken:
-        broken.setattr(zarr.Array, "resize", ends)
-        if steps < 4:  # message, error, value and status grow
-            with pytest.raises(KeyboardInterrupt):
-                run_study(many, tmp_path / "store", workers=0)
-    part = Results.load(tmp_path / "store")
-    assert part.counts == {"pending": 0, "done": 2, "failed": 0, "lost": 0}
-    (tmp_path / "store" / "value" / "c" / "0.0f.partial").write_text("of a killed process")
-    grown = run_study(many, tmp_path / "store", workers=0)
-    assert same(grown, run_study(many, tmp_path / "once", workers=0))
-    assert not list((tmp_path / "store").rglob("*.partial"))
+        with monkeypatch.context() as broken:
+            broken.setattr(LocalStore, "set", ends)
+            try:
+                run_study(many, store, workers=0)
+            except Ended:
+                (store / "0.0f.partial").write_text("of a killed process")
+            else:
+                break
+        if before or Store.open(store) is not None:
+            part = Results.load(store)
+            assert part.counts["failed"] == part.counts["lost"] == 0
+            assert np.isfinite(part.dataset["drawn"]).sum() >= 2 * before
+        assert same(run_study(many, store, workers=0), once), allowed
+        assert not list(store.rglob("*.partial"))
+    assert allowed > 10
 
 
 def test_only_one_process_writes(tmp_path: Path) -> None:
