@@ -295,13 +295,13 @@ def axes_before(points: ArrayLike) -> tuple[Array, Array]:
     grid = real_array("wall points", points)
     if grid.ndim != 3 or grid.shape[-1] != 3 or grid.size == 0:
         raise SamplingError(
-            f"wall points of shape {grid.shape} are no grid (ny, nx, 3); give a Volume by its axes"
+            f"wall points of shape {grid.shape} are no grid (ny, nx, 3); give a line of n points "
+            "as (1, n, 3), or phasor_image a Volume by its axes"
         )
     x, y, off = even_axes(grid)
     if off > UNEVEN:
         raise SamplingError(
-            f"wall points are up to {off:.2g} of their pitch off an even grid along x and y, limit "
-            f"{UNEVEN:g}; give a Volume by its axes"
+            f"wall points are {off:.2g} pitches off an even grid, limit {UNEVEN:g}; give a Volume"
         )
     return x, y
 

@@ -122,5 +122,5 @@ def test_points_of_single_precision_have_even_volumes():
     assert facing.x == pytest.approx(points[0, :, 0], abs=2e-7)
     line = points[0, :, 0]
     assert Volume(line, [0.0], [1.0]).shape == (1, 1, 97)
-    with pytest.raises(SamplingError, match="of their pitch off"):
+    with pytest.raises(SamplingError, match="pitches off an even grid"):
         Volume.facing(points + 0.01 * points[..., [1, 0, 2]], (0.5, 0.8, 0.1))

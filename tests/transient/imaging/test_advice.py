@@ -113,6 +113,20 @@ def test_dark_captures_are_refused():
         transient.hidden_light(capture(0.0, dark=1.0))
 
 
+def test_a_line_of_points_is_imaged_as_the_error_says():
+    """The section of the disc above the row of points next to its centre."""
+    shot = capture()
+    row = replace(shot, H=shot.H[:, 9], laser_points=WALL[9], sensor_points=WALL[9])
+    with pytest.raises(SamplingError, match=r"\(32, 3\) are no grid .*line of n points as \(1, n, 3\)"):
+        transient.advise(row)
+    points = WALL[9][None]
+    row = replace(row, H=row.H[:, None], laser_points=points, sensor_points=points)
+    depths = transient.advise(row).depths
+    seen = np.isfinite(depths.depth)
+    assert np.mean(depths.x[seen[0]]) == pytest.approx(PLACE[0], abs=0.03)
+    assert np.mean(depths.depth[seen]) == pytest.approx(PLACE[2], abs=0.03)
+
+
 def covered(boxes, count, photons, seeds):
     """Which 95 % intervals of depth hold the truth: matt boxes (x, y, width, height) at 0.7 m."""
     bars = [
