@@ -193,18 +193,12 @@ def prepared(
             f"{len(paths)} exposures of a burst show different speckle, and {method} would average "
             "them; use the method burst, or remove [burst]"
         )
-    options: dict[str, Any] = {
-        "shape": scene.camera.shape,
-        "dark": dark,
-        "flat": flat,
-        "full": full,
-    }
-    options |= reading or {}
+    options: dict[str, Any] = {"dark": dark, "flat": flat, "full": full, **(reading or {})}
     averaged = method in KNOWN or method == SHADOWS
     groups: list[Sequence[Path]] = [paths] if averaged else [[path] for path in paths]
     return Task(
         scene=scene,
-        images=tuple(camera_image(group, **options) for group in groups),
+        images=tuple(camera_image(group, shape=scene.camera.shape, **options) for group in groups),
         method=method,
         defocus=tuple(defocus),
         iterations=iterations,
