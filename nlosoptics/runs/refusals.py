@@ -90,7 +90,7 @@ def wall_pixels(scene: Scene) -> NDArray[np.bool_]:
         return seen
     # between the sampled paths of a pixel, an occluder's edge also covers paths of a neighbour
     open_view = path_shares(scene, mesh, None, seen)[1]
-    return seen & (scipy.ndimage.minimum_filter(open_view, 3) == 1.0)
+    return np.asarray(seen & (scipy.ndimage.minimum_filter(open_view, 3) == 1.0))
 
 
 def overexposure(scene: Scene) -> str:
