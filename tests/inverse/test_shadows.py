@@ -134,13 +134,18 @@ def test_more_light_is_no_remedy_for_a_wrong_place(shift):
 
 
 def test_other_structure_than_shadows_does_not_fit():
-    """Stripes of 2 %, such as wallpaper, ten times the noise: no object is detected."""
-    stripes = np.tile(1e6 * (1.0 + 0.02 * (np.arange(PIXELS) // 2 % 2)), (PIXELS, 1))
-    image = np.random.default_rng(0).poisson(stripes).astype(float)
+    """A pattern of 2 %, such as wallpaper, ten times the noise: no object is detected."""
+    wave = np.linspace(-6.0, 6.0, PIXELS)
+    expected = 1e6 * (1.0 + 0.02 * np.outer(np.cos(wave), np.sin(wave)))
+    image = np.random.default_rng(0).poisson(expected).astype(float)
     fit = inverse.shadow_fit(image, operator(), cells=(CELLS, CELLS))
     assert not fit.object.any()
     assert fit.status == "does_not_fit"
     assert fit.physical_parameters["misfit"] == approx(1.0)
+    # white noise that is a third stronger than stated is no contradiction
+    noise = np.random.default_rng(1).normal(1e6, 1e3, image.shape)
+    fit = inverse.shadow_fit(noise, operator(), cells=(CELLS, CELLS), noise=750.0)
+    assert fit.status == "too_few_photons"
 
 
 def test_a_uniform_object_is_right():

@@ -139,9 +139,11 @@ def shadow_fit(
 
     The status is "does_not_fit" if the object leaves more than 0.5 % of the power beyond noise and
     ambient light, or if the residual would add more than 10 %, and more than noise does, to the
-    power of the linear estimate, which may be negative. Otherwise it is "too_few_photons" without a
-    detected object, whose values are then 0, and for an expected correlation below 0.8. An object
-    that is shifted together with the occluder has nearly the same shadows, and is not recognised.
+    power of the linear estimate, which may be negative. Without a detected object, only structure
+    wider than pixels counts, since the noise may be wrong. Otherwise the status is
+    "too_few_photons" without a detected object, whose values are then 0, and for an expected
+    correlation below 0.8. An object that is shifted together with the occluder has nearly the same
+    shadows, and is not recognised.
 
     "converged" speaks of the object at the resolution of its modes. The expected correlation is
     that of objects with the spectrum 1/f^2. No image tells how much of an object is finer than the
@@ -229,9 +231,10 @@ def fitted(
     beyond = max(left - count - LIMITS.errors * math.sqrt(2.0 * count), 0.0)
     misfit = beyond / max(before - left + beyond, 1e-300)
     unlike = float(((linear.estimate - linear.resolved(values, known.cells)) ** 2).sum())
-    power = max(float(((linear.estimate - linear.estimate.mean(0)) ** 2).sum()), 1e-300)
-    noise, error = linear.noise()
-    disagreement = (unlike - noise) / power
+    (noise, error), power = linear.noise(), max(len(values) * linear.estimate.var(0).sum(), 1e-300)
+    disagreement = float((unlike - noise) / power)
+    # without an object to compare with, the noise may be wrong; errors of the model vary slowly
+    slow = data.correlated > 1.0 + LIMITS.errors * math.sqrt(18.0 / data.values.size)
     tests = (
         (
             changes[-1] > settings.tolerance,
@@ -240,7 +243,7 @@ def fitted(
             f"{settings.tolerance:g}; raise max_iterations",
         ),
         (
-            misfit > LIMITS.misfit,
+            (detected or slow) and misfit > LIMITS.misfit,
             "does_not_fit",
             f"the object leaves {misfit:.2g} of the power beyond noise and ambient light, limit "
             f"{LIMITS.misfit:g}; check the occluder's place (occluder_fit) and the ambient light",
