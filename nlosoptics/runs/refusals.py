@@ -80,13 +80,14 @@ def check_sight(scene: Scene, pupil: ExitPupil) -> None:
         )
 
 
-def wall_pixels(scene: Scene) -> NDArray[np.bool_]:
+def wall_pixels(scene: Scene, *, traced: bool = True) -> NDArray[np.bool_]:
     """Return which pixels see the wall with their whole cone of light; no others are compared.
 
-    An occluder before the wall has light of its own, which no model of the wall describes.
+    An occluder before the wall has light of its own, which no model of the wall describes. To find
+    its pixels takes a second for 512 x 512; they count as seeing the wall if not ``traced``.
     """
     seen = wall_visibility(scene, chief_rays(scene, *pixel_centres(scene.camera))) > 0.999
-    if (mesh := scene.occluding_mesh) is None:
+    if not traced or (mesh := scene.occluding_mesh) is None:
         return seen
     # between the sampled paths of a pixel, an occluder's edge also covers paths of a neighbour
     open_view = path_shares(scene, mesh, None, seen)[1]
