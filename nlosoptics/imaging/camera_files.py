@@ -113,7 +113,7 @@ def read_camera_file(
     if channel is None:
         raise SceneError(
             f"{name} is in colour; give channel = 'red', 'green' or 'blue' (that of the laser), "
-            "'grey' or 'rgb'"
+            "'grey', or 'rgb' to sharpen all"
         )
     at = ("red", "green", "blue").index(channel)
     return counts[..., at], stored[..., at], largest

@@ -152,7 +152,7 @@ def cast_shadows(scene: Scene, *, exact: bool = False) -> Shadows:
             scene.check_laser_light()  # the fractions of the image are those of the laser's light
     rays = chief_rays(scene, *pixel_centres(scene.camera))
     seen = wall_visibility(scene, rays) > 0
-    image, view = _path_shares(scene, mesh, spot, seen)
+    image, view = path_shares(scene, mesh, spot, seen)
     lens = np.array(scene.camera.position) + _lens_points(scene)
     return Shadows(
         image=image,
@@ -184,7 +184,7 @@ def _lens_points(scene: Scene) -> Array:
     return np.asarray(disc @ scene.camera.frame[:2])
 
 
-def _path_shares(
+def path_shares(
     scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot | None, seen: Mask
 ) -> tuple[Array, Array]:
     """Return unblocked fractions (ny, nx) of the image's paths and of the view of the wall.

@@ -193,18 +193,14 @@ def prepared(
             f"{len(paths)} exposures of a burst show different speckle, and {method} would average "
             "them; use the method burst, or remove [burst]"
         )
-    options: dict[str, Any] = {
-        "shape": scene.camera.shape,
-        "dark": dark,
-        "flat": flat,
-        "full": full,
-    }
-    options |= reading or {}
-    averaged = method in KNOWN or method == SHADOWS
-    groups: list[Sequence[Path]] = [paths] if averaged else [[path] for path in paths]
+    options: dict[str, Any] = {"dark": dark, "flat": flat, "full": full, **(reading or {})}
+    if options.get("channel") == "rgb":
+        raise SceneError("channel = 'rgb' is three images, must be one; give a colour or 'grey'")
+    apart = blind or method == BURST
+    groups: list[Sequence[Path]] = [[path] for path in paths] if apart else [paths]
     return Task(
         scene=scene,
-        images=tuple(camera_image(group, **options) for group in groups),
+        images=tuple(camera_image(group, shape=scene.camera.shape, **options) for group in groups),
         method=method,
         defocus=tuple(defocus),
         iterations=iterations,
@@ -245,14 +241,13 @@ def reconstructed(
     options: dict[str, Any] = {"seed": task.seed, "start": start, "progress": progress}
     if task.iterations is not None:
         options["max_iterations"] = task.iterations
+    (image,) = task.images[:1]
     if task.method == SHADOWS:
-        (image,) = task.images
         light = np.where(image.masked | ~wall_pixels(task.scene), np.nan, image.values)
         options = _accepted(task, inverse.shadow_fit, options)
         return inverse.shadow_fit(light, shadow_operator(task.scene), **options)
     if task.method not in KNOWN:
         return _several(task, options)
-    (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     noise = camera_noise(task.scene, image, model)
     veil = None

@@ -374,8 +374,7 @@ def _from_shadows(scene: Scene, image: SpeckleImage) -> Reconstruction:
     """Reconstruct the object from its shadows; the occluders are known."""
     from .. import inverse
 
-    dark = image.ledger["dark"] / image.electrons.size
-    light = np.where(image.electrons < full_reading(scene.camera), image.electrons - dark, np.nan)
-    light[~wall_pixels(scene)] = np.nan
-    noise = electron_noise(scene, image.electrons - dark)
-    return inverse.shadow_fit(light, shadow_operator(scene), noise=noise)
+    light = image.electrons - image.ledger["dark"] / image.electrons.size
+    used = wall_pixels(scene) & (image.electrons < full_reading(scene.camera))
+    noise = electron_noise(scene, light)
+    return inverse.shadow_fit(np.where(used, light, np.nan), shadow_operator(scene), noise=noise)

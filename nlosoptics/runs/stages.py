@@ -377,7 +377,7 @@ def reconstruction_stage(scene: Scene, wanted: bool, nodes: int = 0) -> Stage:
                 "a wall without a mirror-like lobe shows detail by shadows only",
             )
         k = joined_pixels(scene)
-        seen = wall_pixels(scene).reshape(ny // k, k, nx // k, k).all(axis=(1, 3))
+        seen = wall_pixels(scene, traced=False).reshape(ny // k, k, nx // k, k).all(axis=(1, 3))
         if (count := np.count_nonzero(seen)) < 64:  # those that `shadow_fit` needs
             return skipped(
                 "reconstruction",

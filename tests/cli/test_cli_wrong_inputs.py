@@ -70,6 +70,7 @@ reconstruct noise.png --scene design --defocus 0,a | '0,a' is not a list; for ex
 reconstruct noise.png --scene design --method burst | speckle; add [wall.roughness], or use tv
 reconstruct noise.png --scene design --method tv --defocus 1 | defocus; leave it out
 reconstruct noise.png --scene design --corners '1,2 3,4' | 4 numbers; give four positions
+reconstruct noise.png --scene design --channel rgb | three images; give a colour or 'grey'
 reconstruct noise.png --scene design --resume | no noise/checkpoint.npz; run without --resume
 deblur grey.png | one of --psf, --disc and --gaussian
 deblur grey.png --disc -3 | --disc = -3; from 0.1 to 100 pixels

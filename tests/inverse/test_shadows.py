@@ -123,6 +123,52 @@ def test_a_wrong_height_does_not_fit():
     assert "check the occluder's place" in fit.reasons[0]
 
 
+@pytest.mark.parametrize("shift", [(0.2, 0.0, 0.0), (0.15, -0.1, -0.2)])
+def test_more_light_is_no_remedy_for_a_wrong_place(shift):
+    """The residual lowers the expected correlation; a hundred times the light does not raise it."""
+    for electrons in (4e3, 4e5):
+        image, scale = wall(electrons, 3.0)
+        fit = inverse.shadow_fit(image, scale * operator(shift), cells=(CELLS, CELLS))
+        assert fit.physical_parameters["expected_correlation"] < 0.8
+        assert fit.status == "does_not_fit"
+
+
+def test_other_structure_than_shadows_does_not_fit():
+    """A pattern of 2 %, such as wallpaper, ten times the noise: no object is detected."""
+    wave = np.linspace(-6.0, 6.0, PIXELS)
+    expected = 1e6 * (1.0 + 0.02 * np.outer(np.cos(wave), np.sin(wave)))
+    image = np.random.default_rng(0).poisson(expected).astype(float)
+    fit = inverse.shadow_fit(image, operator(), cells=(CELLS, CELLS))
+    assert not fit.object.any()
+    assert fit.status == "does_not_fit"
+    assert fit.physical_parameters["misfit"] == approx(1.0)
+    # white noise that is a third stronger than stated is no contradiction
+    noise = np.random.default_rng(1).normal(1e6, 1e3, image.shape)
+    fit = inverse.shadow_fit(noise, operator(), cells=(CELLS, CELLS), noise=750.0)
+    assert fit.status == "too_few_photons"
+
+
+def test_a_uniform_object_is_right():
+    """Its estimate varies by noise alone, which is no contradiction, however little that is."""
+    light = operator(cells=42, parts=1).sum(1)
+    for seed in range(4, 8):
+        image = np.random.default_rng(seed).poisson(4e3 * light / light.mean())
+        bright = 4e3 / light.mean() * operator()
+        fit = inverse.shadow_fit(image.reshape(PIXELS, PIXELS), bright, cells=(CELLS, CELLS))
+        assert abs(fit.object - 1.0).max() < 0.1
+        assert fit.status == "converged", fit.reasons
+
+
+def test_light_that_only_a_negative_object_explains():
+    """The object that is nowhere negative is 0, and the search for it ends."""
+    light = (operator() @ np.ones(CELLS**2)).reshape(PIXELS, PIXELS)
+    image = np.random.default_rng(0).poisson(1e5 * (1.0 - 0.1 * light / light.max()))
+    fit = inverse.shadow_fit(image, operator(), cells=(CELLS, CELLS), ambient=0)
+    assert not fit.object.any()
+    assert len(fit.history["change"]) < 1000
+    assert fit.status == "does_not_fit"
+
+
 @pytest.mark.thorough
 def test_height_of_a_disc():
     """A shift along the wall moves the object as well; the height stands out.

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from pytest import approx
 from scipy import constants
 
 import nlosoptics as nlos
-from nlosoptics import cli, imaging, inverse, limits
+from nlosoptics import cli, imaging, inverse, limits, reconstructing
 from nlosoptics.errors import ValidityWarning
 from nlosoptics.imaging import WallTransport
 from nlosoptics.runs.noise import electron_noise
@@ -56,6 +57,22 @@ def test_a_letter_is_read_off_the_shadows_of_a_disc(tmp_path, capsys, monkeypatc
     forecast = limits.feasibility(result.scene)
     assert forecast.diffuse_modes > 20
     assert forecast.score == 0.0 < forecast.relay_score
+
+
+def test_an_occluder_in_view_is_left_out(tmp_path) -> None:
+    """A board between camera and wall is bright in the room's light; the model knows it as dark."""
+    scene = Scene.load(SCENES / "letter_disc.toml").resized(64)
+    board = trimesh.creation.box((0.06, 0.06, 1e-3)).apply_translation((-0.45, 0.0, 0.5))
+    scene = replace(scene, occluders=(*scene.occluders, board))
+    light = imaging.form_image(scene, None, seed=0).electrons
+    covered = 1.0 - imaging.cast_shadows(scene).view
+    assert 0.05 < covered.mean() < 0.15
+    np.save(tmp_path / "photo.npy", light + 3.0 * light.max() * covered)
+    fit = reconstructing.reconstructed(reconstructing.prepared(scene, [tmp_path / "photo.npy"]))
+    assert fit.status == "converged", fit.reasons
+    side = len(fit.object)
+    truth = scene.hidden.reflectance.reshape(side, 512 // side, side, -1).mean(axis=(1, 3))
+    assert np.corrcoef(fit.object.ravel(), truth.ravel())[0, 1] > 0.95
 
 
 def screen(**parts) -> Scene:

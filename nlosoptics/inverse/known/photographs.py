@@ -214,7 +214,6 @@ def _veil(level: Array) -> Array | None:
         normal = np.einsum("kin,n,kjn->ij", steps, weights, steps, optimize=True)
         values = np.linalg.solve(normal, np.einsum("kin,n,kn->i", steps, weights, slopes))
         rest = slopes - np.einsum("i,kin->kn", values, steps)
-    if np.hypot(*rest).sum() > least * whole:
-        return None
     veil = np.tensordot(values, terms, 1)
-    return np.asarray(veil + np.quantile(level - veil, 0.01))
+    veil = np.maximum(veil + np.quantile(level - veil, 0.01), 0.0)  # a veil is light
+    return veil if np.hypot(*gradients(level - veil)).sum() <= least * whole else None

@@ -196,10 +196,9 @@ class Evidence(NamedTuple):
     colours: ``scale``, variance of the noise over the expected one, and ``modes``, the effective
     number of modes above the noise.
     ``estimate`` (N, C) is the posterior mean of the object, ``error`` (N, C) its standard
-    deviation, ``noise`` (C,) the sum of squares that noise adds to it, and ``correlation`` the
-    correlation with the object that the model expects. ``patterns`` (N, K) are the object's modes,
-    of the same prior variance, ``share`` (K, C) is the part of each that the estimate contains, and
-    ``variance`` (K, C) that of its coefficient.
+    deviation, and ``correlation`` the correlation with the object that the model expects.
+    ``patterns`` (N, K) are the object's modes, of the same prior variance, ``share`` (K, C) is the
+    part of each that the estimate contains, and ``variance`` (K, C) that of its coefficient.
     """
 
     log: float
@@ -210,15 +209,19 @@ class Evidence(NamedTuple):
     estimate: Array
     error: Array
     correlation: float
-    noise: Array
     patterns: Array
     share: Array
     variance: Array
 
+    def noise(self) -> tuple[float, float]:
+        """Return the sum of squares that noise adds to the estimate, and its standard error."""
+        overlaps, variance = self.patterns.T @ self.patterns, self.share * self.variance
+        error = math.sqrt(2.0 * float((variance * (overlaps**2 @ variance)).sum()))
+        return float((np.diag(overlaps) @ variance).sum()), error
+
     def resolved(self, values: Array, shape: tuple[int, int]) -> Array:
         """Return the estimate (N, C) from a noiseless image of an object (N, C)."""
-        coefficients = self._inverse(shape) @ values
-        return np.asarray(self.patterns @ (self.share * coefficients))
+        return np.asarray(self.patterns @ (self.share * (self._inverse(shape) @ values)))
 
     def not_negative(self, shape: tuple[int, int]) -> tuple[float, NDArray[np.bool_]]:
         """Return the log evidence of an object that is nowhere negative, and its lit cells (N,).
@@ -323,7 +326,6 @@ def evidence(data: WallImage, matrix: Array, shape: tuple[int, int]) -> Evidence
         estimate=rotated @ mean * data.sigma,
         error=np.sqrt(variance) * data.sigma,
         correlation=math.sqrt(max(0.0, 1.0 - float((variance.mean(0) / whole.mean(0)).mean()))),
-        noise=(rotated**2).sum(0) @ (share * (1.0 - share) * strength) * scale * data.sigma**2,
         patterns=rotated,
         share=share,
         variance=(1.0 - share) * strength * scale * data.sigma**2,

@@ -61,8 +61,7 @@ def least_variation(
         steps = (ahead @ inside).reshape(edges.shape)
         return modes / max(float(np.sqrt((steps**2).sum((0, 2))).sum()), 1e-300)
 
-    weight = implied()
-    most_weight = 2.0 * weight
+    most_weight = 2.0 * (weight := implied())
     for step in range(1, most + 1):
         right = moment + stiffness * (back @ flat(edges - bent) + inside - pulled)
         values = scipy.linalg.cho_solve(factor, right, check_finite=False)
@@ -76,7 +75,9 @@ def least_variation(
         moved = relaxation * values + (1.0 - relaxation) * inside + pulled
         before, inside = inside, np.clip(moved, 0.0, brightest)
         pulled = moved - inside
-        changes.append(max(_norm(inside - before), _norm(values - inside)) / _norm(inside))
+        # an object that vanishes has no change relative to itself
+        size = max(_norm(inside), tolerance * math.sqrt(inside.size))
+        changes.append(max(_norm(inside - before), _norm(values - inside)) / size)
         if step % every == 0:
             wanted = min(implied(), most_weight)
             settled = abs(wanted / weight - 1.0) < 0.05
@@ -97,9 +98,8 @@ def least_variation(
 
 def _differences(count: int) -> Any:
     """Return the matrix of forward differences of a row, (count, count); its last row is 0."""
-    matrix = np.eye(count, k=1) - np.eye(count)
-    matrix[-1] = 0.0
-    return scipy.sparse.csr_array(matrix)
+    one = np.eye(count)
+    return scipy.sparse.csr_array(np.diff(one, axis=0, append=one[-1:]))
 
 
 def _norm(values: Array) -> float:

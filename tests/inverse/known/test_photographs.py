@@ -69,6 +69,16 @@ def test_a_smooth_veil_is_taken_off() -> None:
     assert correlation(together, (truth + veil)[inside]) > 0.99
 
 
+def test_a_soft_object_is_no_veil() -> None:
+    """Light is not negative: a shaded plate before a black wall is not a flat one less a veil."""
+    truth = np.zeros((117, 121))
+    truth[24:93, 24:97] = np.linspace(0.0, 1.0, 73)
+    found = tv_deconvolve(photographed(truth, 0.01), DISC)
+    assert found.status == "converged"
+    assert np.min(found.physical_parameters.get("veil", 0.0)) >= 0.0
+    assert correlation(found.object, truth[8:-8, 8:-8]) > 0.98
+
+
 def test_colours_share_one_answer() -> None:
     image = np.stack([photographed(view(seed), 0.01)[:50, :60] for seed in (1, 2, 3)], axis=-1)
     dead = np.zeros(image.shape, dtype=bool)
