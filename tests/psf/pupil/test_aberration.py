@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pytest import approx
+from scipy.optimize import minimize_scalar
 
 from nlosoptics import psf
 from nlosoptics.errors import CausticError, NotWaveGradeError, SceneError
@@ -104,6 +105,34 @@ def test_stationary_path_is_what_minimisation_finds(wall):
 
     node = (0.009, -0.006)
     found = psf.wall_aberration(wall, OBJECT, PUPIL, AIM, [node])
+    # lengths of 2 m carry 2e-16 m each, four of them are taken
+    assert found[0] == approx(excess(node) - excess((0.0, 0.0)), abs=3e-15)
+
+
+@pytest.mark.parametrize("radius", [0.5, 0.07, 0.02, 1e-3])
+def test_small_balls_are_mirrors_without_caustics(radius):
+    """A ball that is smaller than the distance to the mirror point of its tangent plane."""
+    o, c, centre = np.array((0.3, 0.1, 0.8)), np.array((-0.4, 0.05, 0.9)), (0, 0, -radius)
+    e1, e2, _ = pupil_frame(-c / np.linalg.norm(c))
+
+    def excess(node):
+        p = c + node[0] * e1 + node[1] * e2
+        first, second = (end - centre for end in (o, p))
+        e = first / np.linalg.norm(first)
+        f = second - (second @ e) * e
+        f /= np.linalg.norm(f)
+
+        def path(angle):  # in the plane of both ends and the ball's centre
+            hit = centre + radius * (math.cos(angle) * e + math.sin(angle) * f)
+            return np.linalg.norm(hit - o) + np.linalg.norm(hit - p)
+
+        found = minimize_scalar(
+            path, bounds=(0, math.atan2(second @ f, second @ e)), options={"xatol": 1e-10}
+        )
+        return found.fun - np.linalg.norm(p - o * (1, 1, -1))
+
+    node = (0.009, -0.006)
+    found = psf.wall_aberration(ConvexWall(radius), o, c, (0, 0, 0), [node])
     # lengths of 2 m carry 2e-16 m each, four of them are taken
     assert found[0] == approx(excess(node) - excess((0.0, 0.0)), abs=3e-15)
 
