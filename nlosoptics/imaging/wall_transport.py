@@ -561,14 +561,13 @@ class WallTransport(Noun):
 
     @cached_property
     def _step(self) -> float:
-        """Side of the area of the wall that a pixel sees, m; inf if the wall is narrower than it."""
+        """Side of the area of the wall that a pixel sees, m; inf if the wall is narrower."""
         x, y, _ = self._bins()
         points = chief_rays(
             self.scene, *(np.append(c - d / 2, c[-1] + d / 2) for c, d in (x, y))
         ).points
-        steps = [np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1)]
-        on_wall = [s[np.isfinite(s)] for s in steps]
-        return max(float(np.median(s if s.size else math.inf)) for s in on_wall)
+        steps = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
+        return max(float(np.median(s[s < np.inf] if (s < np.inf).any() else np.inf)) for s in steps)
 
     def _bins(self) -> tuple[tuple[Any, float], tuple[Any, float], float]:
         """Return centres and sides of the detector's areas along x and y, m, and their pixels."""
