@@ -15,6 +15,7 @@ from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
     FlatWall,
+    HeightMapWall,
     MeshWall,
     SumWall,
     WavyWall,
@@ -215,3 +216,12 @@ def test_bad_input(change, message):
     arguments = {"object_point": OBJECT, "pupil_centre": PUPIL, "pupil_aim": AIM, "nodes": [[0, 0]]}
     with pytest.raises(SceneError, match=message):
         psf.wall_aberration(ConcaveWall(5.0), **(arguments | change))
+
+
+def test_a_wall_that_ends_too_early_is_no_caustic():
+    """A height map has no surface beyond its edges; light is reflected 0.2 m from its centre."""
+    x = np.linspace(-0.05, 0.05, 21)
+    wall = HeightMapWall(np.tile(0.02 * x**2, (21, 1)), pitch=0.005)
+    with pytest.raises(CausticError, match="wall ends before .* enlarge it") as caught:
+        psf.wall_aberration(wall, (0.8, 0.1, 0.8), (-0.2, 0.05, 0.9), (0, 0, 0), [(0, 0.01)])
+    assert "a caustic" not in str(caught.value)
