@@ -110,9 +110,8 @@ def _caustic(wall: Wall, o: Array, node: Array, hit: Array) -> str:
     d1, d2 = (float(np.linalg.norm(hit - end)) for end in (o, node))
     c1, c2 = float(o[2]) / d1, float(node[2]) / d2
     sagittal, tangential = (c1 + c2) / (1 / d1 + 1 / d2), (c1 + c2) / (c1**2 / d1 + c2**2 / d2)
-    if (
-        wall.max_curvature * sagittal < 0.8
-    ):  # then each node has one path on a surface without edges
+    # Below this curvature, an unbounded surface has one path to each node.
+    if wall.max_curvature * sagittal < 0.8:
         return "the wall ends before the point of reflection; enlarge it, or move object or camera"
     return (
         f"a caustic, since rays cross near radii of curvature of {sagittal:.3g} m to "
