@@ -561,13 +561,13 @@ class WallTransport(Noun):
 
     @cached_property
     def _step(self) -> float:
-        """Side of the area of the wall that a pixel sees, m."""
+        """Side of the area of the wall that a pixel sees, m; inf if the wall is narrower."""
         x, y, _ = self._bins()
         points = chief_rays(
             self.scene, *(np.append(c - d / 2, c[-1] + d / 2) for c, d in (x, y))
         ).points
-        steps = [np.diff(points, axis=axis) for axis in (0, 1)]
-        return max(float(np.nanmedian(np.linalg.norm(s, axis=-1))) for s in steps)
+        steps = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
+        return max(float(np.median(s[s < np.inf] if (s < np.inf).any() else np.inf)) for s in steps)
 
     def _bins(self) -> tuple[tuple[Any, float], tuple[Any, float], float]:
         """Return centres and sides of the detector's areas along x and y, m, and their pixels."""

@@ -258,12 +258,12 @@ def relay_score(scene: Scene, relay: RelayLight | None, levels: LightLevels) -> 
     if relay is None or not relay.response.any():
         return 0.0
     picture, bins = _cell_picture(scene), relay.noise.shape
-    if picture is None or relay.noise.size < LEAST_BINS:
+    whole_bins = _binned(levels.visible, bins) * relay.noise.size > 0.999 * levels.visible.size
+    if picture is None or whole_bins.sum() < LEAST_BINS:
         return math.sqrt(_freedom_of(relay.signal) / relay.response.shape[-1])
     if np.ptp(picture) == 0.0:
         return 0.0
     image = _binned(levels.diffuse + levels.ambient, bins)
-    whole_bins = _binned(levels.visible, bins) * relay.noise.size > 0.999 * levels.visible.size
     image[~whole_bins] = np.nan
     operator, draw = relay.response.reshape(-1, picture.size), generator(0, 1707)
     total = 0.0

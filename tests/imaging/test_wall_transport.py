@@ -357,3 +357,13 @@ def test_derivative_by_the_pose_is_that_of_differences(small, occluder):
 def test_bad_input_is_named(call, message):
     with pytest.raises(NlosError, match=message):
         call(scene(DISC))
+
+
+@pytest.mark.parametrize("size", [0.15, (0.05, 1.2), (1.6, 0.05)])
+def test_pixels_wider_than_the_wall_hold_the_light_of_finer_ones(size):
+    """All pixels together see the same wall: 9 x 9 pixels of 80 mm against 54 x 54 of 13 mm."""
+    camera = replace(CAMERA, aim=(0, 0, 0), binning=1, pixel_pitch=6.827e-4, pixels=(54, 54))
+    small = scene(wall=FlatWall(size=size), laser=replace(LASER, aim=(0, 0, 0)), camera=camera)
+    coarse, fine = (WallTransport(small, cells=(4, 4), pixels=(n, n)).matrix for n in (9, 54))
+    # the wall's edges cut through the samples of a pixel, 64 in the coarse ones
+    assert coarse.sum(axis=0) == approx(fine.sum(axis=0), rel=0.02)

@@ -294,3 +294,13 @@ def test_bad_input_is_named(scene: Scene) -> None:
         limits.feasibility("letter")  # type: ignore[arg-type]
     with pytest.raises(SceneError, match="exposure"):
         limits.feasibility(scene, exposure=0.0)
+
+
+def test_walls_narrower_than_the_bins_of_the_prediction(scene: Scene) -> None:
+    """Bins that the wall fills in part say nothing about it, so that modes are counted instead."""
+    strips = [
+        replace(scene, wall=FlatWall(size=(width, 1.0)), laser=replace(scene.laser, aim=(0, 0, 0)))
+        for width in (0.02, 0.05)
+    ]
+    narrow, wide = (limits.feasibility(strip).diffuse_modes for strip in strips)
+    assert 1 <= narrow <= wide

@@ -10,7 +10,7 @@ from ...kernels.compiling import njit
 from ...kernels.heights import surface
 from ...kernels.parallel import threaded
 
-FOUND, NOT_FOUND, OFF_SURFACE = 0, 1, 2
+FOUND, NOT_FOUND = 0, 1
 ROUNDED = 1e-11  # gradient of the path at which a point counts as stationary
 N_COLUMNS = 8  # x, y, z, excess, spreading, determinant, smaller curvature, status
 
@@ -43,12 +43,12 @@ def _stationarity(o, p, x, y, s):
 def stationary_point(terms, tables, o, p, x, y):
     """Find a wall point at which the path from O by the wall to p is stationary.
 
-    Newton's method with backtracking on the path's gradient, from the start (x, y), which must lie
-    on the surface. Returns (x, y, status).
+    Newton's method with backtracking on the path's gradient, from the start (x, y). A start beyond
+    the rim of the surface is moved toward its vertex, the origin. Returns (x, y, status).
     """
     s = surface(terms, tables, x, y)
-    if math.isnan(s[0]):
-        return x, y, OFF_SURFACE
+    while math.isnan(s[0]) and abs(x) + abs(y) > 0.0:
+        x, y, s = 0.25 * x, 0.25 * y, surface(terms, tables, 0.25 * x, 0.25 * y)
     gx, gy, hxx, hxy, hyy = _stationarity(o, p, x, y, s)
     norm = math.hypot(gx, gy)
     for _ in range(60):

@@ -42,11 +42,8 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
         legs = np.linalg.norm(nodes - o * (1, 1, -1), axis=1)
         cosine = abs((nodes - o * (1, 1, -1)) @ axis) / legs
         mirror_hits[:, 2] = 0.0
-        return AimedRays(
-            points=mirror_hits,
-            excess=np.zeros(len(nodes)),
-            spreading=cosine / legs**2,
-        )
+        zeros, spreading = np.zeros(len(nodes)), cosine / legs**2
+        return AimedRays(points=mirror_hits, excess=zeros, spreading=spreading)
     from ...kernels.heights import tables_for
     from . import _aiming_kernels, callable_aiming
 
@@ -109,10 +106,13 @@ def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> N
 
 
 def _caustic(wall: Wall, o: Array, node: Array, hit: Array) -> str:
-    """Return the radii of wall and caustic, by Coddington's equations, for light from o to node."""
+    """Return why no single path leads from o to node: radii of wall and caustic, by Coddington."""
     d1, d2 = (float(np.linalg.norm(hit - end)) for end in (o, node))
     c1, c2 = float(o[2]) / d1, float(node[2]) / d2
     sagittal, tangential = (c1 + c2) / (1 / d1 + 1 / d2), (c1 + c2) / (c1**2 / d1 + c2**2 / d2)
+    # Below this curvature, an unbounded surface has one path to each node.
+    if wall.max_curvature * sagittal < 0.8:
+        return "the wall ends before the point of reflection; enlarge it, or move object or camera"
     return (
         f"a caustic, since rays cross near radii of curvature of {sagittal:.3g} m to "
         f"{tangential:.3g} m and the wall's comes down to {1 / wall.max_curvature:.3g} m; use a "

@@ -28,8 +28,9 @@ class MeshWall(Wall):
 
     Waves need a smooth surface with a single height above each point of the plane z = 0, so a
     bicubic surface with continuous slopes is fitted to the vertices. It is stored on a regular grid
-    in x and y. The property `fit_residual` estimates the error of this fit, m. The property
-    `mesh_error` is the mean distance in z between the flat triangles and the fitted surface, m.
+    in x and y. The mesh must cover the rectangle of `size` without large holes. The property
+    `fit_residual` estimates the error of this fit, m. The property `mesh_error` is the mean
+    distance in z between the flat triangles and the fitted surface, m.
 
     With ``smooth=False``, nothing is fitted, and rays meet the triangles from both sides. The mesh
     may then fold back, like a scan with undercuts. Only `raytrace.trace` and `raytrace.trace_image`
@@ -50,7 +51,8 @@ class MeshWall(Wall):
     ------
     SceneError
         If ``scale`` is not above 0 or ``smooth`` is no bool. A missing file, too few vertices, or a
-        mesh that folds back or does not surround the origin is found at the first use.
+        mesh that folds back, has large holes, is round or does not surround the origin is found at
+        the first use.
 
     See Also
     --------
@@ -104,10 +106,10 @@ class MeshWall(Wall):
         """Full extent in x and y of the largest rectangle centred on the origin in the mesh, m."""
         low, high = self.triangles.bounds
         reach = np.minimum(-low[:2], high[:2])
-        if not (reach > 0).all():
+        if not (reach > 1e-9 * (high - low).max()).all():
             raise SceneError(
                 f"wall.mesh spans x {low[0]:g} to {high[0]:g} m and y {low[1]:g} to {high[1]:g} m; "
-                "it must surround the origin; shift the mesh"
+                "it must surround the origin and face along z; shift or turn the mesh"
             )
         return (2 * float(reach[0]), 2 * float(reach[1]))
 
@@ -132,14 +134,12 @@ class MeshWall(Wall):
             rows = np.searchsorted(y, points[:, 1] - 1e-7 * span)
             z = np.empty((len(x), len(y)))
             z[columns, rows] = points[:, 2]
-            spline = RectBivariateSpline(x, y, z)
+            spline, counts = RectBivariateSpline(x, y, z), (len(x), len(y))
             every_other = RectBivariateSpline(x[::2], y[::2], z[::2, ::2])
             # compare at all vertices inside the grid of every other one, to avoid extrapolation
-            end_x, end_y = x[::2][-1], y[::2][-1]
-            seen = np.ix_(x <= end_x, y <= end_y)
-            guess = every_other(x[x <= end_x], y[y <= end_y])
-            residual = float(abs(guess - z[seen]).max())
-            counts = (len(x), len(y))
+            seen_x, seen_y = x <= x[::2][-1], y <= y[::2][-1]
+            guess = every_other(x[seen_x], y[seen_y])
+            residual = float(abs(guess - z[np.ix_(seen_x, seen_y)]).max())
         else:
             spline, residual, counts = _scattered_fit(points, size)
         nodes_x = np.linspace(-size[0] / 2, size[0] / 2, max(counts[0], 8))
@@ -150,16 +150,8 @@ class MeshWall(Wall):
         ]
         bends = [spline(nodes_x, nodes_y, dx=dx, dy=2 - dx) for dx in (0, 1, 2)]
         curvature = float(np.max(np.maximum(abs(bends[0]), abs(bends[2])) + abs(bends[1])))
-        term = _term(
-            GRID,
-            nodes_x[0],
-            nodes_y[0],
-            nodes_x[1] - nodes_x[0],
-            nodes_y[1] - nodes_y[0],
-            len(nodes_x),
-            len(nodes_y),
-            0,
-        )
+        steps = nodes_x[1] - nodes_x[0], nodes_y[1] - nodes_y[0]
+        term = _term(GRID, nodes_x[0], nodes_y[0], *steps, len(nodes_x), len(nodes_y), 0)
         return term, np.concatenate(channels), residual, curvature
 
     @staticmethod
@@ -261,6 +253,18 @@ def _scattered_fit(points: Array, size: tuple[float, float]) -> tuple[Any, float
     ratio = math.sqrt(size[0] / size[1])
     counts = (max(2, round(n * ratio)), max(2, round(n / ratio)))
     low, high = points.min(axis=0), points.max(axis=0)
+    # Without vertices the spline is free, and the misfit does not show it. Of random vertices, a
+    # cell with a mean of 18 has none once in 7e7 cells.
+    bins = [max(2, round(count / math.sqrt(18 / per_knot))) for count in counts]
+    filled, *cells = np.histogram2d(*points[:, :2].T, bins, np.outer(size, (-0.5, 0.5)))
+    if not filled.all():
+        empty = np.argwhere(filled == 0)[0]
+        x, y = (edges[i : i + 2].mean() for edges, i in zip(cells, empty, strict=True))
+        raise SceneError(
+            f"wall.mesh has no vertices near x = {x:.3g} m, y = {y:.3g} m, where a smooth surface "
+            f"of {size[0]:.3g} m by {size[1]:.3g} m needs some; cut the mesh to a rectangle about "
+            "the origin, fill its holes, subdivide its large triangles, or give wall.smooth = false"
+        )
     knots_x, knots_y = (np.linspace(low[i], high[i], counts[i] + 2)[1:-1] for i in (0, 1))
     with warnings.catch_warnings():
         # a rank-deficient fit needs no warning: its misfit is large

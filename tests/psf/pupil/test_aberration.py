@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pytest import approx
+from scipy.optimize import minimize_scalar
 
 from nlosoptics import psf
 from nlosoptics.errors import CausticError, NotWaveGradeError, SceneError
@@ -14,6 +15,7 @@ from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
     FlatWall,
+    HeightMapWall,
     MeshWall,
     SumWall,
     WavyWall,
@@ -108,6 +110,34 @@ def test_stationary_path_is_what_minimisation_finds(wall):
     assert found[0] == approx(excess(node) - excess((0.0, 0.0)), abs=3e-15)
 
 
+@pytest.mark.parametrize("radius", [0.5, 0.07, 0.02, 1e-3])
+def test_small_balls_are_mirrors_without_caustics(radius):
+    """A ball that is smaller than the distance to the mirror point of its tangent plane."""
+    o, c, centre = np.array((0.3, 0.1, 0.8)), np.array((-0.4, 0.05, 0.9)), (0, 0, -radius)
+    e1, e2, _ = pupil_frame(-c / np.linalg.norm(c))
+
+    def excess(node):
+        p = c + node[0] * e1 + node[1] * e2
+        first, second = (end - centre for end in (o, p))
+        e = first / np.linalg.norm(first)
+        f = second - (second @ e) * e
+        f /= np.linalg.norm(f)
+
+        def path(angle):  # in the plane of both ends and the ball's centre
+            hit = centre + radius * (math.cos(angle) * e + math.sin(angle) * f)
+            return np.linalg.norm(hit - o) + np.linalg.norm(hit - p)
+
+        found = minimize_scalar(
+            path, bounds=(0, math.atan2(second @ f, second @ e)), options={"xatol": 1e-10}
+        )
+        return found.fun - np.linalg.norm(p - o * (1, 1, -1))
+
+    node = (0.009, -0.006)
+    found = psf.wall_aberration(ConvexWall(radius), o, c, (0, 0, 0), [node])
+    # lengths of 2 m carry 2e-16 m each, four of them are taken
+    assert found[0] == approx(excess(node) - excess((0.0, 0.0)), abs=3e-15)
+
+
 @pytest.mark.parametrize("angle", [0.3, 2.0, -1.1])
 @pytest.mark.parametrize("wall", [ConcaveWall(5.0), ConvexWall(2.0), FlatWall()])
 def test_turning_the_scene_about_z_changes_nothing(wall, angle):
@@ -186,3 +216,12 @@ def test_bad_input(change, message):
     arguments = {"object_point": OBJECT, "pupil_centre": PUPIL, "pupil_aim": AIM, "nodes": [[0, 0]]}
     with pytest.raises(SceneError, match=message):
         psf.wall_aberration(ConcaveWall(5.0), **(arguments | change))
+
+
+def test_a_wall_that_ends_too_early_is_no_caustic():
+    """A height map has no surface beyond its edges; light is reflected 0.2 m from its centre."""
+    x = np.linspace(-0.05, 0.05, 21)
+    wall = HeightMapWall(np.tile(0.02 * x**2, (21, 1)), pitch=0.005)
+    with pytest.raises(CausticError, match="wall ends before .* enlarge it") as caught:
+        psf.wall_aberration(wall, (0.8, 0.1, 0.8), (-0.2, 0.05, 0.9), (0, 0, 0), [(0, 0.01)])
+    assert "a caustic" not in str(caught.value)

@@ -91,9 +91,35 @@ def test_one_rule_says_what_is_wave_grade():
         wall.wave_grade(0.0)
 
 
+def of_disc(half=0.5, rings=40):
+    """Plane mesh of a disc."""
+    r, t = np.meshgrid(half * np.arange(1, rings + 1) / rings, np.arange(120) * np.pi / 60)
+    xy = np.stack([r * np.cos(t), r * np.sin(t)], axis=-1).reshape(-1, 2)
+    return trimesh.Trimesh(np.column_stack([xy, 0 * xy[:, 0]]), Delaunay(xy).simplices)
+
+
+def with_hole(mesh, radius):
+    """Mesh without the triangles within ``radius`` of the point (0.2, 0)."""
+    x, y, _ = mesh.triangles_center.T
+    mesh.update_faces(np.hypot(x - 0.2, y) > radius)
+    mesh.remove_unreferenced_vertices()
+    return mesh
+
+
+def upright():
+    """Plane mesh that faces along y, as files of programs do in which y is up."""
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9))
+    flat = np.column_stack([x.ravel(), y.ravel()])
+    points = np.column_stack([x.ravel(), 6e-17 * y.ravel(), y.ravel()])  # as turned by 90 deg
+    return trimesh.Trimesh(points, Delaunay(flat).simplices, process=False)
+
+
 @pytest.mark.parametrize(
     ("mesh", "message"),
     [
+        (of_disc(), "no vertices near x = -0.4.* m, y = -0.4.* m"),
+        (with_hole(scattered(WavyWall(1e-4, 0.3, size=1.0)), 0.1), "no vertices near x = 0.[12]"),
+        (upright(), "turn the mesh"),
         (trimesh.creation.box((1, 1, 1)), "folds back"),
         (trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]), "must surround"),
         (trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]]), "too few"),
