@@ -28,9 +28,10 @@ class MeshWall(Wall):
 
     Waves need a smooth surface with a single height above each point of the plane z = 0, so a
     bicubic surface with continuous slopes is fitted to the vertices. It is stored on a regular grid
-    in x and y. The mesh must cover the rectangle of `size` without large holes. The property
-    `fit_residual` estimates the error of this fit, m. The property `mesh_error` is the mean
-    distance in z between the flat triangles and the fitted surface, m.
+    in x and y. The wall is the largest rectangle that is centred on the origin and within the
+    mesh's extent in x and y (`size`): parts of the mesh outside are not used, and inside there must
+    be no large holes. The property `fit_residual` estimates the error of this fit, m. The property
+    `mesh_error` is the mean distance in z between the flat triangles and the fitted surface, m.
 
     With ``smooth=False``, nothing is fitted, and rays meet the triangles from both sides. The mesh
     may then fold back, like a scan with undercuts. Only `raytrace.trace` and `raytrace.trace_image`
@@ -103,7 +104,7 @@ class MeshWall(Wall):
 
     @property
     def size(self) -> tuple[float, float]:  # type: ignore[override]
-        """Full extent in x and y of the largest rectangle centred on the origin in the mesh, m."""
+        """Width and height of the largest rectangle about the origin in the mesh's extent, m."""
         low, high = self.triangles.bounds
         reach = np.minimum(-low[:2], high[:2])
         if not (reach > 1e-9 * (high - low).max()).all():
