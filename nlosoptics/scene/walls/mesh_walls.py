@@ -257,7 +257,7 @@ def _scattered_fit(points: Array, size: tuple[float, float]) -> tuple[Any, float
     # Without vertices the spline is free, and the misfit does not show it. Of random vertices, a
     # cell with a mean of 18 has none once in 7e7 cells.
     bins = [max(2, round(count / math.sqrt(18 / per_knot))) for count in counts]
-    filled, *cells = np.histogram2d(*points[:, :2].T, bins, np.outer(size, (-0.5, 0.5)))
+    filled, cells = np.histogramdd(points[:, :2], bins, [(-side / 2, side / 2) for side in size])
     if not filled.all():
         empty = np.argwhere(filled == 0)[0]
         x, y = (edges[i : i + 2].mean() for edges, i in zip(cells, empty, strict=True))
