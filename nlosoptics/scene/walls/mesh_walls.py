@@ -28,9 +28,10 @@ class MeshWall(Wall):
 
     Waves need a smooth surface with a single height above each point of the plane z = 0, so a
     bicubic surface with continuous slopes is fitted to the vertices. It is stored on a regular grid
-    in x and y. The mesh must cover the rectangle of `size` without large holes. The property
-    `fit_residual` estimates the error of this fit, m. The property `mesh_error` is the mean
-    distance in z between the flat triangles and the fitted surface, m.
+    in x and y. The wall is the largest rectangle that is centred on the origin and within the
+    mesh's extent in x and y (`size`): parts of the mesh outside are not used, and inside there must
+    be no large holes. The property `fit_residual` estimates the error of this fit, m. The property
+    `mesh_error` is the mean distance in z between the flat triangles and the fitted surface, m.
 
     With ``smooth=False``, nothing is fitted, and rays meet the triangles from both sides. The mesh
     may then fold back, like a scan with undercuts. Only `raytrace.trace` and `raytrace.trace_image`
@@ -103,7 +104,7 @@ class MeshWall(Wall):
 
     @property
     def size(self) -> tuple[float, float]:  # type: ignore[override]
-        """Full extent in x and y of the largest rectangle centred on the origin in the mesh, m."""
+        """Width and height of the largest rectangle about the origin in the mesh's extent, m."""
         low, high = self.triangles.bounds
         reach = np.minimum(-low[:2], high[:2])
         if not (reach > 1e-9 * (high - low).max()).all():
@@ -256,7 +257,7 @@ def _scattered_fit(points: Array, size: tuple[float, float]) -> tuple[Any, float
     # Without vertices the spline is free, and the misfit does not show it. Of random vertices, a
     # cell with a mean of 18 has none once in 7e7 cells.
     bins = [max(2, round(count / math.sqrt(18 / per_knot))) for count in counts]
-    filled, *cells = np.histogram2d(*points[:, :2].T, bins, np.outer(size, (-0.5, 0.5)))
+    filled, cells = np.histogramdd(points[:, :2], bins, [(-side / 2, side / 2) for side in size])
     if not filled.all():
         empty = np.argwhere(filled == 0)[0]
         x, y = (edges[i : i + 2].mean() for edges, i in zip(cells, empty, strict=True))
