@@ -117,7 +117,7 @@ def numbers(name: str, value: Any) -> NDArray[np.float64]:
     import numpy as np
 
     try:
-        if value is None:  # which numpy takes for NaN
+        if value is None or np.iscomplexobj(value):  # numpy takes it for NaN, or its real part
             raise TypeError
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..._checks import counted, in_range, one_of, pair, positive, reason, shown, whole
+from ..._checks import counted, in_range, numbers, one_of, pair, positive, reason, shown, whole
 from ..._nouns import check_pickles
 from ..._random import generator
 from ...errors import SamplingError, SceneError
@@ -75,7 +75,7 @@ class HeightMapWall(Wall):
         object.__setattr__(self, "pitch", positive("wall.pitch", self.pitch, unit="m"))
         object.__setattr__(self, "heights", source(self.heights))
         if not isinstance(self.heights, SourceFile):
-            own = np.array(self.heights, dtype=np.float64)
+            own = numbers("wall.heights", self.heights).copy()
             own.flags.writeable = False
             object.__setattr__(self, "heights", own)
         samples = self._samples
@@ -268,7 +268,7 @@ def _read(path: SourceFile) -> Array:
         raise SceneError(f"wall.heights: there is no file {path}; give the path of an .npy file")
     file = io.BytesIO(path.content)
     try:
-        return np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
+        return np.load(file, allow_pickle=False).astype(np.float64, casting="same_kind", copy=False)
     except Exception as error:  # numpy lets through what its parser of headers raises
         raise SceneError(
             f"wall.heights: {path} holds no array of numbers ({reason(error)}); "

@@ -99,12 +99,15 @@ def test_bad_maps_are_refused(tmp_path):
     holed[2, 3] = np.nan
     text = tmp_path / "a.npy"
     text.write_text("no array")
+    np.save(tmp_path / "field.npy", flat * 1j)
     for arguments, message in (
         ((flat[:3], 0.1), r"wall.heights has shape \(3, 6\)"),
         ((holed, 0.1), r"wall.heights\[2, 3\] is NaN"),
         ((flat, 0.0), "wall.pitch = 0 m is out of range"),
         ((tmp_path / "none.npy", 0.1), "there is no file"),
         ((text, 0.1), "holds no array of numbers"),
+        ((tmp_path / "field.npy", 0.1), "holds no array of numbers .*complex"),
+        ((flat * 1j, 0.1), "wall.heights = .* is no array of numbers"),
     ):
         with pytest.raises(SceneError, match=message):
             HeightMapWall(*arguments)

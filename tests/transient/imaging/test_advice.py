@@ -117,7 +117,7 @@ def test_a_line_of_points_is_imaged_as_the_error_says():
     """The section of the disc above the row of points next to its centre."""
     shot = capture()
     row = replace(shot, H=shot.H[:, 9], laser_points=WALL[9], sensor_points=WALL[9])
-    with pytest.raises(SamplingError, match=r"\(32, 3\) are no grid .*line of n points as \(1, n, 3\)"):
+    with pytest.raises(SamplingError, match=r"no grid .*line of n points as \(1, n, 3\)"):
         transient.advise(row)
     points = WALL[9][None]
     row = replace(row, H=row.H[:, None], laser_points=points, sensor_points=points)
