@@ -509,7 +509,9 @@ class Aperture(Noun):
         """Raise `SceneError` if sample points of one cell's patches lie inside another cell."""
         boxes = [box(cell.outline) for cell in self.cells]
         # Inset, so that cells that merely touch do not overlap.
-        points = [parts.drawn_in(cell.sides, 1e-9) for cell in self.cells]
+        inset = np.linspace(1e-9, 1 - 1e-9, 64)
+        alone = (Aperture((cell,)) for cell in self.cells)
+        points = [part.map(inset, inset)[0].reshape(-1, 2) for part in alone]
         for i, (low, high) in enumerate(boxes):
             for j, (other_low, other_high) in enumerate(boxes):
                 if i == j or np.any(low >= other_high) or np.any(other_low >= high):

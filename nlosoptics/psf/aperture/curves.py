@@ -127,15 +127,6 @@ class Curve(Noun):
         step = np.asarray(by, dtype=np.float64)
         return Curve(self.base + step, self.step, self.cosine, self.sine, self.phase, self.turn)
 
-    def turned(self, angle: float) -> Curve:
-        """Return the curve in axes that are turned by an angle, rad."""
-        c, s = math.cos(angle), math.sin(angle)
-        axes = np.array([[c, -s], [s, c]])
-        base, step, cosine, sine = (
-            np.asarray(v @ axes) for v in (self.base, self.step, self.cosine, self.sine)
-        )
-        return Curve(base, step, cosine, sine, self.phase, self.turn)
-
     def meets(self, level: float | Array, axis: int) -> Array:
         """Return all t in (0, 1), unsorted, where a coordinate of a single curve is ``level``."""
         level = np.asarray(level, dtype=np.float64)

@@ -209,16 +209,3 @@ def _free_arcs(
         if high - low > 1e-9 and inside:
             found.append((low, high))
     return found
-
-
-def drawn_in(sides: Sequence[Sides], share: float) -> Array:
-    """Return sample points (n, 2), m, of a cell's patches, moved inward from their sides.
-
-    ``share`` is the displacement as a fraction of the patch's size.
-    """
-    fraction = np.linspace(share, 1 - share, 64)
-    found = []
-    for a, b in sides:
-        low, high = a.at(fraction)[None], b.at(fraction)[None]
-        found.append((low + (high - low) * fraction[:, None, None]).reshape(-1, 2))
-    return np.concatenate(found)
