@@ -64,15 +64,13 @@ class RoughPointSpread(PointSpread):
     coherent: Array
     rayleigh_parameter: float
     coherent_fraction: float = math.nan
+    _images = ("intensity", "coherent")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if math.isnan(self.coherent_fraction):
             found = math.exp(-(self.rayleigh_parameter**2))
             object.__setattr__(self, "coherent_fraction", found)
-        coherent = np.array(self.coherent, dtype=np.float64, order="C")
-        coherent.setflags(write=False)
-        object.__setattr__(self, "coherent", coherent)
 
     @property
     def diffuse(self) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,12 +104,15 @@ class PointSpread(Noun, Shown, Labelled):
     model: str = "scalar"
     model_error: float = math.inf
 
+    _images: ClassVar[tuple[str, ...]] = ("intensity",)  # arrays of its own, read-only
+
     def __post_init__(self) -> None:
-        given = np.asarray(self.intensity)
-        if given.flags.writeable or given.base is not None or not given.flags.c_contiguous:
-            given = np.array(given, dtype=np.float64, order="C")
-            given.setflags(write=False)
-        object.__setattr__(self, "intensity", np.asarray(given, dtype=np.float64))
+        for name in self._images:
+            given = np.asarray(getattr(self, name))
+            if given.flags.writeable or given.base is not None or not given.flags.c_contiguous:
+                given = np.array(given, dtype=np.float64, order="C")
+                given.setflags(write=False)
+            object.__setattr__(self, name, np.asarray(given, dtype=np.float64))
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -57,7 +57,7 @@ class Airy(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return costs.CALL + 3e-8 * costs.points(task.samples)  # one Bessel function per point
+        return costs.CALL + 3e-8 * math.prod(task.samples.shape)  # one Bessel function per point
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -118,7 +118,7 @@ class FewNodes(Transform):
         digits = -math.log10(task.coarse.epsilon)
         per_node = 3e-8 + 1e-9 * digits**2
         nodes = math.prod(task.coarse.counts)
-        return 6e-4 + per_node * nodes + 1.2e-8 * costs.points(task.samples)
+        return 6e-4 + per_node * nodes + 1.2e-8 * math.prod(task.samples.shape)
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""

@@ -165,12 +165,7 @@ class HybridPointSpread(PointSpread):
     traced_flux_error: float
     flux: float
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("coherent", "halo", "diffuse", "standard_error"):
-            array = np.array(getattr(self, name), dtype=np.float64, order="C")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+    _images = ("intensity", "coherent", "halo", "diffuse", "standard_error")
 
 
 def hybrid_point_spread(

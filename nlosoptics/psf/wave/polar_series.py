@@ -170,24 +170,6 @@ class PolarSpectrum:
         along_r, angle = np.diff(edges)[:, None], turn * np.arange(n_theta, dtype=np.float64)
         return Mesh(r * ring.cosine, r * ring.sine, r[:, 0], angle, along_r, np.array(turn))
 
-    def at(self, u: Array, v: Array, epsilon: float) -> Array:
-        """Return the function at any points.
-
-        Parameters
-        ----------
-        u, v : ndarray
-            Coordinates of the points, m, of the same shape. Outside the pupil the function is
-            extrapolated linearly along the radius.
-        epsilon : float
-            Largest error relative to the largest value, 1e-13 or more.
-
-        Returns
-        -------
-        ndarray
-            Values in the shape of u, in the unit of the samples.
-        """
-        return values_at(self, None, u, v, epsilon)[0]
-
     @cached_property
     def disc_series(self) -> ComplexArray:
         """The function as a Fourier series in two angles, for a non-uniform FFT.
