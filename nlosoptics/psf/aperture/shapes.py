@@ -178,8 +178,8 @@ def _free_arcs(
     for j in range(len(radii)):
         step = centres[j] - centres[i]
         apart = float(np.hypot(*step))
-        if j == i or apart + radii[i] <= radii[j] * (1 + TOUCHING):
-            continue  # disc j contains the whole circle i
+        if apart + radii[i] <= radii[j] * (1 + TOUCHING):
+            continue  # disc j contains the whole circle i, or is the same
         if not abs(radii[i] - radii[j]) < apart < radii[i] + radii[j]:
             return []  # disc j lies inside circle i, or the two are disjoint
         cosine = (apart**2 + radii[i] ** 2 - radii[j] ** 2) / (2 * apart * radii[i])

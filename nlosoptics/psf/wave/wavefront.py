@@ -19,7 +19,6 @@ from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
 from ..aperture.quadrature_nodes import fitting_pitch
 from .cell_series import CellSpectrum, spectrum
-from .fits import fitted_terms
 from .node_checks import check_aperture, check_nodes, grid_pitch, wave_labels
 from .polar_series import PolarSpectrum
 from .removed import Removed
@@ -138,12 +137,9 @@ class Wavefront(Noun, Shown, Labelled):
         check_nodes(self.layout, self.u, self.v, self.pupil_radius, self.obscuration, self.aperture)
 
     def _figures(self) -> Figures:
-        plane = np.stack([np.ones_like(self.u), self.u, self.v])
-        rest = self.aberration - np.tensordot(
-            fitted_terms(self.aberration, self.amplitude * self.weights, plane), plane, 1
-        )
-        weights = self.amplitude * self.weights
-        rms = float(np.sqrt(np.sum(weights * rest**2) / np.sum(weights)))
+        from .detilted import split
+
+        rms = split(self).heights.rms
         waves = f"{rms / self.wavelength:.3g} waves rms"
         figures = {
             "aberration": f"{waves}, {1e9 * rms:.3g} nm, without tilt",
@@ -529,10 +525,7 @@ class Wavefront(Noun, Shown, Labelled):
         The estimate is the sum (layout "polar") or four times the rms (layout "cells") of the
         highest terms of the polynomial series through the samples.
         """
-        return (
-            self.series(self.aberration).truncation(),
-            self.series(self.amplitude).truncation(),
-        )
+        return self.series(self.aberration).truncation(), self.series(self.amplitude).truncation()
 
     def _require_spectral(self, what: str) -> None:
         if not self.is_spectral:

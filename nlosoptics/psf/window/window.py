@@ -119,11 +119,11 @@ def check_rays(residual: Residual, pitch: float, shape: tuple[int, int], remedy:
 
     ``remedy`` is added to the message.
     """
-    if holds_rays(residual, pitch, shape):
+    lost = _lost_rays(residual, pitch, shape)
+    if lost <= LOST_RAYS:
         return
     ny, nx = shape
-    x, y = (a + b for a, b in zip((residual.rays.x, residual.rays.y), residual.shift, strict=True))
-    lost = _lost_rays(residual, pitch, shape)
+    x, y = residual.rays.x + residual.shift[0], residual.rays.y + residual.shift[1]
     need = 2 * math.ceil(max(np.abs(x).max(), np.abs(y).max()) / pitch) + 1
     raise SamplingError(
         f"the geometric spot reaches x = {_widest(x):.3g} m, y = {_widest(y):.3g} m and a "
