@@ -140,9 +140,18 @@ class Curve(Noun):
             top = math.atan2(self.sine[axis], self.cosine[axis])
             ratio = (level - base) / size
             side = np.arccos(ratio[np.abs(ratio) <= 1])
-            turn = float(self.turn)
-            angles = np.concatenate([top + side, top - side]) - float(self.phase)
-            t = np.mod(angles * math.copysign(1.0, turn), 2 * math.pi) / abs(turn)
+            return self._turned_by(np.concatenate([top + side, top - side]) - float(self.phase))
+        return np.asarray(t[(t > 0) & (t < 1)])
+
+    def turning_points(self, axis: int) -> Array:
+        """Return all t in (0, 1) at which a coordinate of a single arc has an extremum."""
+        top = math.atan2(self.sine[axis], self.cosine[axis]) - float(self.phase)
+        return self._turned_by(top + np.array([0.0, math.pi]))
+
+    def _turned_by(self, angles: Array) -> Array:
+        """Return the t in (0, 1) at angles, rad, from the start of a single arc."""
+        turn = float(self.turn)
+        t = np.mod(angles * math.copysign(1.0, turn), 2 * math.pi) / abs(turn)
         return np.asarray(t[(t > 0) & (t < 1)])
 
 
@@ -179,18 +188,9 @@ def box(pieces: Iterable[Curve]) -> tuple[Array, Array]:
     for piece in pieces:
         points.append(piece.at([0.0, 1.0]))
         if piece.is_arc:
-            points.append(piece.at(_turning_points(piece, 0)))
-            points.append(piece.at(_turning_points(piece, 1)))
+            points += [piece.at(piece.turning_points(axis)) for axis in (0, 1)]
     every = np.concatenate(points)
     return every.min(axis=0), every.max(axis=0)
-
-
-def _turning_points(arc: Curve, axis: int) -> Array:
-    """All t in (0, 1) at which a coordinate of an arc has an extremum."""
-    top = math.atan2(arc.sine[axis], arc.cosine[axis]) - float(arc.phase)
-    turn = float(arc.turn)
-    t = np.mod((top + np.array([0.0, math.pi])) * math.copysign(1, turn), 2 * math.pi) / abs(turn)
-    return np.asarray(t[(t > 0) & (t < 1)])
 
 
 def shares(outline: Iterable[Curve], x: Array, y: Array, pitch: float) -> Array:
@@ -248,7 +248,7 @@ def monotone_parts(curve: Curve) -> list[Curve]:
     """Pieces of a single curve along which v only rises or only falls."""
     if not curve.is_arc:
         return [curve]
-    t = np.concatenate([[0.0], np.sort(_turning_points(curve, 1)), [1.0]])
+    t = np.concatenate([[0.0], np.sort(curve.turning_points(1)), [1.0]])
     return [curve.part(a, b) for a, b in zip(t[:-1].tolist(), t[1:].tolist(), strict=True)]
 
 

@@ -16,7 +16,7 @@ import ducc0
 import numpy as np
 from numpy.typing import NDArray
 
-from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
+from ..aperture.quadrature_nodes import frozen, gauss_legendre
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -150,9 +150,8 @@ class PolarSpectrum:
         # Drop coefficients at rounding level: slopes of high-degree polynomials amplify them.
         n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(self._sizes.max())))
         ring = ring_of(n_r, n_theta, self.obscuration)
-        tables = _kept_tables(n_k, n_r) if n_r <= KEPT else legendre_tables(n_k, ring.fraction)
         coefficients = self.coefficients[:n_k, :n_m]
-        value, per_r = (_product(table.T, coefficients) for table in tables)
+        value, per_r = (_product(table.T, coefficients) for table in _rim_tables(n_k, n_r))
         per_r *= ring.bend
         per_r[:, 1::2] = ring.rho * per_r[:, 1::2] + value[:, 1::2]
         value[:, ::2] /= ring.rho
@@ -160,7 +159,7 @@ class PolarSpectrum:
         d_r, d_theta = self._synthesis(np.stack([per_r, value]) / self.radius, n_theta)
         du = ring.cosine * d_r - ring.sine * d_theta
         dv = ring.sine * d_r + ring.cosine * d_theta
-        return du, dv, ring.share
+        return du, dv, np.repeat(ring.share, n_theta, axis=1)
 
     def points(self, n_r: int, n_theta: int) -> Mesh:
         """Return the points of `slopes`, with the radius, m, and the angle as coordinates."""
@@ -343,19 +342,16 @@ class Ring(NamedTuple):
 
     Attributes
     ----------
-    fraction : ndarray, (n_r + 1,)
-        Legendre coordinate, 0 at the inner and 1 at the outer rim.
     rho : ndarray, (n_r + 1, 1)
         Radius over pupil radius.
     bend : ndarray, (n_r + 1, 1)
-        Derivative of ``fraction`` with respect to ``rho``.
+        Derivative of the Legendre coordinate with respect to ``rho``.
     cosine, sine : ndarray, (n_theta,)
         Of the angles.
-    share : ndarray, (n_r + 1, n_theta)
-        Fraction of the pupil's area, sum 1; 0 on the rim.
+    share : ndarray, (n_r + 1, 1)
+        Fraction of the pupil's area at each point of a ring; 0 on the rim.
     """
 
-    fraction: Array
     rho: Array
     bend: Array
     cosine: Array
@@ -363,27 +359,19 @@ class Ring(NamedTuple):
     share: Array
 
 
-def _ring(n_r: int, n_theta: int, obscuration: float) -> Ring:
-    """Compute the geometry of polar nodes and the rim."""
+@lru_cache(maxsize=16)
+def ring_of(n_r: int, n_theta: int, obscuration: float) -> Ring:
+    """Return the geometry of polar nodes and the rim, cached and read-only."""
     fraction, weights = gauss_legendre(n_r)
-    fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
-    rho = rho_of(fraction, obscuration)[:, None]
+    rho = rho_of(np.append(fraction, 1.0), obscuration)[:, None]
     angle = 2 * math.pi * np.arange(n_theta) / n_theta
-    share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
-    parts = fraction, rho, 2 * rho / (1 - obscuration**2), np.cos(angle), np.sin(angle), share
+    share = np.append(weights, 0.0)[:, None] / n_theta
+    parts = rho, 2 * rho / (1 - obscuration**2), np.cos(angle), np.sin(angle), share
     return Ring(*map(frozen, parts))
 
 
-_kept_ring = lru_cache(maxsize=16)(_ring)
-
-
-def ring_of(n_r: int, n_theta: int, obscuration: float) -> Ring:
-    """Return the geometry of polar nodes and the rim, cached up to `KEPT` nodes."""
-    return (_kept_ring if n_r * n_theta <= KEPT else _ring)(n_r, n_theta, obscuration)
-
-
 @lru_cache(maxsize=32)
-def _kept_tables(n: int, n_r: int) -> tuple[Array, Array]:
+def _rim_tables(n: int, n_r: int) -> tuple[Array, Array]:
     """Legendre tables at ``n_r`` nodes and the rim, cached and read-only."""
     table, slopes = legendre_tables(n, np.append(gauss_legendre(n_r)[0], 1.0))
     return frozen(table), frozen(slopes)
