@@ -190,7 +190,7 @@ class Aperture(Noun):
         positive("radius", radius, unit="m")
         turn = real("angle", angle) + 2 * math.pi * np.arange(sides) / sides
         corners = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        return cls((polygon_cell(simple_polygon(corners), obscuration),))
+        return cls.polygon(corners, obscuration=obscuration)
 
     @classmethod
     def hexagons(

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import vector
 from ...errors import CausticError, SceneError
-from ...scene import CallableWall, Wall
+from ...scene import CallableWall, Scene, Wall
 from ...scene.parts.camera import pupil_frame
 
 Array = NDArray[np.float64]
@@ -23,6 +23,13 @@ class AimedRays:
     points: Array  # (n, 3); Points at which the paths meet the wall, world frame, m
     excess: Array  # (n,); Path length minus the distance from the mirrored object point, m
     spreading: Array  # (n,); Irradiance on the pupil plane per unit radiant intensity, 1/m^2
+
+
+def point_of(scene: Scene, object_point: ArrayLike | None) -> Array:
+    """Return an object point (3,), m; by default the reference point of the hidden object."""
+    if object_point is None:
+        return scene.object_point
+    return np.array(vector("object_point", object_point))
 
 
 def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> AimedRays:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import islice
 
 import ducc0
@@ -173,7 +174,8 @@ def detilted_sample(
         between = Between(screen.size, step, n) if step > 1 else None
         mean = np.zeros(shape)
         for k, field in enumerate(islice(screen.draw(seed), patterns)):
-            through = seen_through(grid, field, between)
+            phases = field[:n, :n] if between is None else between(field)
+            through = replace(grid, values=grid.values * phases)
             mean += mdft.intensity_in(residual, through, samples, rule)
             if k == 0:
                 seen, spill = through, spilled(field)
@@ -299,13 +301,6 @@ def wall_screen(
 def _lattice(n: int, step: int) -> int:
     """Return the lattice points per side that enclose n pupil points, at every ``step``-th."""
     return n if step == 1 else -(-n // step) + 1
-
-
-def seen_through(grid: PupilGrid, field: ComplexArray, between: Between | None) -> PupilGrid:
-    """Return the pupil function times the field of a random wall."""
-    n = grid.values.shape[0]
-    phases = field[:n, :n] if between is None else between(field)
-    return PupilGrid(grid.values * phases, grid.pitch, grid.jump, grid.rim)
 
 
 def spilled(field: ComplexArray) -> float:

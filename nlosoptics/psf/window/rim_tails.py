@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..aperture.aperture import Aperture
-from ..aperture.curves import Curve, cross, lengths
+from ..aperture.curves import cross, lengths
 from ..wave.wavefront import Wavefront
 
 Array = NDArray[np.float64]
@@ -67,11 +67,11 @@ def reach(aperture: Aperture, scale: float, pitch: float, share: float) -> float
 
 
 @lru_cache(maxsize=8)
-def _split(aperture: Aperture) -> tuple[Array, list[tuple[float, float]]]:
+def _split(aperture: Aperture) -> tuple[Array, Array]:
     """Divide a pupil's rims into straight edges, grouped by direction and length, and arcs.
 
     Each row of edges (n, 4) has the components of a unit vector, the length, m, and the number of
-    such edges. For each arc, its length and its largest radius of curvature are returned, m.
+    such edges; each row of arcs (m, 2) has the length and the largest radius of curvature, m.
     """
     rims, size = aperture.rims, lengths(aperture.rims)
     bent = rims.turn != 0
@@ -86,14 +86,7 @@ def _split(aperture: Aperture) -> tuple[Array, list[tuple[float, float]]]:
     keys = np.array(list(found), dtype=np.float64).reshape(-1, 3) / 1e6
     keys[:, 2] = np.maximum(keys[:, 2], 1e-6) * aperture.bounding_radius
     edges = np.column_stack([keys, list(found.values())])
-    arcs = [
-        (float(n), rho) for n, rho in zip(size[bent], _curvature_radii(rims, bent), strict=True)
-    ]
-    return edges, arcs
-
-
-def _curvature_radii(rims: Curve, bent: NDArray[np.bool_]) -> list[float]:
-    """Largest radius of curvature ``|r'|^3/|r' x r''|`` of each arc, m."""
+    # largest radius of curvature, |r'|^3/|r' x r''|
     rate = np.hypot(*np.moveaxis(rims.rate(np.linspace(0, 1, 33)), -1, 0))[bent].max(axis=1)
     bend = np.abs(rims.turn[bent]) ** 3 * np.abs(cross(rims.cosine, rims.sine))[bent]
-    return [float(r) for r in rate**3 / bend]
+    return edges, np.column_stack([size[bent], rate**3 / bend])
