@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import fits_memory, in_range, positive, real, whole
 from ..._nouns import Noun
+from ..._vectors import Array
 from ...errors import SceneError
 from . import shapes as parts
 from .cells import Cell, polygon_cell, ring_cell
@@ -19,7 +20,6 @@ from .curves import Curve, box, cross, lengths, shares, within
 from .polygons import convex_polygon, simple_polygon
 from .quadrature_nodes import fitting_pitch, gauss_legendre
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Point = tuple[float, float]
 

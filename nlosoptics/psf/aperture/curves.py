@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._nouns import Noun
+from ..._vectors import Array
 from .quadrature_nodes import gauss_legendre
-
-Array = NDArray[np.float64]
 
 #: Longest arc after `Curve.parts`, rad: a few Gauss-Legendre nodes integrate it to rounding error.
 LONGEST = math.pi / 2 * (1 + 1e-12)

@@ -7,11 +7,9 @@ from functools import lru_cache
 
 import ducc0
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import fits_memory, in_range, positive, whole
-
-Array = NDArray[np.float64]
+from ..._vectors import Array
 
 #: Largest number of nodes of a pupil that is cached for later waves, 0.4 MB.
 KEPT = 2**14

@@ -7,14 +7,12 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import counted, positive, real, shown
+from ..._vectors import Array
 from ...errors import SceneError
 from .curves import Curve
 from .polygons import Sides
-
-Array = NDArray[np.float64]
 
 #: Distance, relative to a radius, within which circles and sides touch rather than cross.
 TOUCHING: Final = 1e-12

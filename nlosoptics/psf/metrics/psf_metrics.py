@@ -9,9 +9,10 @@ from dataclasses import replace
 import ducc0
 import numpy as np
 import scipy  # loads its parts on first use
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import counted, expect, fits_memory, numbers, one_of, real, shown, whole
+from ..._vectors import Array, ComplexArray
 from ...errors import SamplingError, SceneError
 from ..aperture.quadrature_nodes import circle_shares, gauss_legendre
 from ..transform import nufft, quadrature
@@ -22,9 +23,6 @@ from ..wave.wavefront import Wavefront
 from ..wave.zernikes import ORDERINGS, Ordering, zernike_basis
 from ..window.window import Window
 from .pupil_overlap import transfer
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> float:

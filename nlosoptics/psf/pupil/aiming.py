@@ -6,14 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import vector
+from ..._vectors import Array
 from ...errors import CausticError, SceneError
 from ...scene import CallableWall, Scene, Wall
 from ...scene.parts.camera import pupil_frame
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...scene import Wall
 from . import _aiming_kernels
-
-Array = NDArray[np.float64]
 
 
 def aim(wall: Wall, o: Array, nodes: Array, starts: Array, axis: Array, out: Array) -> None:

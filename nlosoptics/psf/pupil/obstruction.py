@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...errors import SceneError
 from ...raytrace import occluded
 from ...scene import Scene
 from .aiming import aim, point_of, pupil_points
-
-Array = NDArray[np.float64]
 
 
 def check_cone(scene: Scene, object_point: Array | None = None) -> bool:

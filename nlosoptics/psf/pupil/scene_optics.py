@@ -7,9 +7,10 @@ from functools import cached_property
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import expect
+from ..._vectors import Array
 from ...errors import SamplingError
 from ...scene import Scene
 from .aiming import point_of
@@ -17,7 +18,6 @@ from .exit_pupil import ExitPupil, exit_pupil
 from .wall_view import WallView, view_along
 from .wall_wavefront import AimedWave, aimed_wave
 
-Array = NDArray[np.float64]
 Found = TypeVar("Found")
 
 #: Numbers of pupil samples to try after those of ``nodes="auto"``: radii of polar nodes, with four

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import expect
 from ..._nouns import Noun
+from ..._vectors import Array
 from ...scene import Scene, Wall
 from .aiming import aim, point_of, pupil_points
 from .exit_pupil import exit_pupil
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import expect, numbers, one_of, vector, whole
+from ..._vectors import Array
 from ...errors import NotWaveGradeError, SamplingError, SceneError
 from ...scene import MeshWall, Scene, Wall
 from ..aperture.aperture import Aperture
@@ -22,7 +23,6 @@ from .aiming import AimedRays, aim, point_of, pupil_points
 from .exit_pupil import ExitPupil, exit_pupil
 from .obstruction import hides
 
-Array = NDArray[np.float64]
 #: Grid cells per side for ``nodes="auto"``. More cells reduce the error of a cut rim; 512 take
 #: about 0.3 s.
 AUTO_GRID_SAMPLES = 512

@@ -8,9 +8,10 @@ from itertools import islice
 
 import ducc0
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import one_of, whole
+from ..._vectors import Array, ComplexArray
 from ...errors import SamplingError, SceneError
 from ...scene import Scene
 from ..pupil.scene_optics import SceneOptics
@@ -30,9 +31,6 @@ from .relief import Relief, ReliefScreen, ReliefView, relief_screen, relief_stri
 from .roughness import Roughness
 from .source import rough_source
 from .view import RoughView
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def sample_point_spread(

@@ -15,14 +15,13 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import Array
 from ..wave.detilted import Residual
 from ..window import antialiased_disc
 from ..window.grids import Pass, intensity
 from ..window.pixels import PixelRule
 from ..window.window import Window
 from .antialiased_pupil import SoftWave
-
-Array = NDArray[np.float64]
 
 #: Points per cell in the table of a softened rim; six-point interpolation then has error 2e-15.
 STEPS = 256

@@ -13,16 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..wave.detilted import Residual
 from ..wave.polar_series import PolarSpectrum
 from ..wave.pupil_polynomials import polynomial_of
 from ..window import error_bounds
 from ..window.window import Window
 from .quadrature import predicted_peak
-
-Array = NDArray[np.float64]
 
 #: Largest relative amplitude variation for which this method is used.
 UNEVEN = 0.3

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..._checks import expect, fits_memory, in_range, one_of, positive, seconds_limit
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._vectors import Array
 from ..._xarray import Labelled, Labels, variable
 from ...errors import SamplingError
 from ..wave.detilted import Residual, split
@@ -31,7 +32,6 @@ from .models import Model, check_model, modelled
 from .task import Task
 from .transforms import ABLE
 
-Array = NDArray[np.float64]
 Method = Literal["auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric"]
 Normalisation = Literal["unit-sum", "ideal-peak", "flux"]
 METHODS = ("auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric")

@@ -9,11 +9,12 @@ from typing import Final
 import numpy as np
 
 from ..._checks import fits_memory
+from ..._vectors import Array
 from ...errors import SamplingError
 from ..window import error_bounds
 from ..window.grids import PupilGrid, pupil_grid
 from . import airy, antialiased_fft, antialiased_pupil, costs, geometric, mdft, nufft, quadrature
-from .task import Array, Image, Result, Soft, Task
+from .task import Image, Result, Soft, Task
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
 MANY_WAVES: Final = 20

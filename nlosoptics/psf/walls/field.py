@@ -8,12 +8,13 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import carried, fits_memory, in_range, is_single, positive, whole
 from ..._nouns import Noun
 from ..._progress import Progress
 from ..._random import generator
+from ..._vectors import Array
 from ...errors import SamplingError, SceneError
 from ...raytrace.intersection.meshes import worker_pool
 from ...scene import PlanarObject, Scene
@@ -21,7 +22,6 @@ from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
 from ..transform.point_spread import PointSpread
 from .scene_psf import point_window, wall_image
 
-Array = NDArray[np.float64]
 #: Coordinates of an object point across and up, -1 to 1 from edge to edge.
 Place = tuple[float, float]
 EDGES: Final = np.array([-1.0, 1.0])

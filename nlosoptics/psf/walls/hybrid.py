@@ -8,11 +8,12 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import expect, fits_memory, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed
+from ..._vectors import Array
 from ...errors import SceneError
 from ...raytrace import PointTrace, ray_plan, trace_point
 from ...raytrace.light.trace import MOST, MOST_BOUNCES
@@ -28,8 +29,6 @@ from ..transform.point_spread import PointSpread
 from ..wave.regime import regime
 from ..window.window import check_rays, middle, shape_of, window_side
 from .scene_psf import error_of_sum, mirror_lobes
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import fits_memory, in_range, one_of
 from ..._nouns import Noun
 from ..._progress import Progress
+from ..._vectors import Array
 from ...errors import SamplingError
 from ...scene import Scene
 from ...scene.parts._material import MirrorLobe
@@ -33,7 +34,6 @@ from ..window.window import Window, check_rays, middle, shape_of, window_side
 from .rough_wall import HELD, Cost, Image, PupilField, WallImage, relief_image, roughness_view
 from .scene_costs import smooth_cost
 
-Array = NDArray[np.float64]
 #: Rms phase s, rad, of the heights that represent a lobe. Its point spread then equals that of the
 #: lobe's slopes up to a relative error of 1/s^2.
 ROUGH: Final = 1e3

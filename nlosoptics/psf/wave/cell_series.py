@@ -7,15 +7,12 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..._vectors import product
+from ..._vectors import Array, product
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
 from .polar_series import Mesh, PolarSpectrum, _legendre_slopes, analysis, legendre
-
-Array = NDArray[np.float64]
 
 #: Least s at which slopes are taken: at s = 0 a patch may shrink to a point, where the Jacobian
 #: vanishes.

@@ -13,14 +13,13 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...errors import SamplingError
 from .cell_series import CellSpectrum
 from .fits import fitted_terms
 from .polar_series import PolarSpectrum
 from .scattered_fits import LocalFits, local_fits
 from .wavefront import Wavefront
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,9 @@ from typing import NamedTuple
 
 import ducc0
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array, ComplexArray
 from ..aperture.quadrature_nodes import frozen, gauss_legendre
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 class PolarSpectrum:

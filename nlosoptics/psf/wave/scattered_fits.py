@@ -8,12 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...errors import SamplingError
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import polar_nodes
 from .wavefront import Wavefront
-
-Array = NDArray[np.float64]
 
 #: Radius, in disc radii, of a ring of auxiliary points that closes the outermost Voronoi cells.
 FAR: Final = 12.0

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import in_range, one_of, positive, real, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._vectors import Array
 from ..._xarray import Labelled
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
 from ..aperture.quadrature_nodes import fitting_pitch
 from .cell_series import CellSpectrum, spectrum
+from .fits import fitted_terms
 from .node_checks import check_aperture, check_nodes, grid_pitch, wave_labels
 from .polar_series import PolarSpectrum
 from .removed import Removed
@@ -38,7 +41,6 @@ from .sampling import (
 )
 from .zernikes import ORDERINGS, Ordering
 
-Array = NDArray[np.float64]
 Layout = Literal["polar", "cells", "grid", "scattered"]
 LAYOUTS = ("polar", "cells", "grid", "scattered")
 
@@ -137,9 +139,13 @@ class Wavefront(Noun, Shown, Labelled):
         check_nodes(self.layout, self.u, self.v, self.pupil_radius, self.obscuration, self.aperture)
 
     def _figures(self) -> Figures:
-        from .detilted import split
-
-        rms = split(self).heights.rms
+        plane, weights = (
+            np.stack([np.ones_like(self.u), self.u, self.v]),
+            self.amplitude * self.weights,
+        )
+        fit = fitted_terms(self.aberration, weights, plane)
+        rest = self.aberration - np.tensordot(fit, plane, 1)
+        rms = math.sqrt(np.sum(weights * rest**2) / np.sum(weights))
         waves = f"{rms / self.wavelength:.3g} waves rms"
         figures = {
             "aberration": f"{waves}, {1e9 * rms:.3g} nm, without tilt",

@@ -8,15 +8,15 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import numbers, one_of, real, whole
+from ..._vectors import Array
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
 from ..aperture.quadrature_nodes import frozen
 
-Array = NDArray[np.float64]
 Ordering = Literal["noll", "osa", "fringe"]
 ORDERINGS = ("noll", "osa", "fringe")
 

@@ -13,11 +13,9 @@ import math
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..aperture.quadrature_nodes import gauss_legendre
-
-Array = NDArray[np.float64]
 
 #: Width of the step in units of P. At distance s the spectrum is 1 for s < 0.2 P and 0 for
 #: s > 0.8 P, to 1e-7.

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import Array, ComplexArray
 from ..wave.detilted import Residual
 from ..wave.polar_series import values_at
 from . import antialiased_disc
 from .pixels import PixelRule
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 #: A function that transforms the last axis of (rows, n) to (rows, m).
 Pass = Callable[[ComplexArray], ComplexArray]
 

@@ -6,13 +6,11 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross, lengths
 from ..wave.wavefront import Wavefront
-
-Array = NDArray[np.float64]
 
 #: Largest contribution of an arc with radius of curvature rho, in units of sqrt(rho/f).
 ARC = 1.2

@@ -6,16 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import expect, in_range, is_single, shown, whole
+from ..._vectors import Array
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..wave.detilted import Residual, split
 from ..wave.wavefront import Wavefront
 from . import rim_tails
-
-Array = NDArray[np.float64]
 
 #: Fraction of the ray energy that may fall outside a window.
 LOST_RAYS = 0.01
