@@ -185,8 +185,11 @@ class Chirp(Transform):
         _check_sampling(task, 1)
         grid = pupil_grid(residual)
         n = grid.values.shape[0]
-        what = f"the transform of {n} samples to {samples.shape[0]} x {samples.shape[1]}"
-        fits_memory(what, self.n_bytes(task), "use a smaller shape")
+        fits_memory(
+            f"the transform of {n} samples to {samples.shape[0]} x {samples.shape[1]}",
+            144.0 * n * n + 48.0 * n * max(samples.shape) + 72.0 * math.prod(samples.shape),
+            "use a smaller shape",
+        )
         wave, nodes = residual.wavefront, nufft.own_nodes(residual)
         lit = wave.amplitude * wave.weights > 0
         (peak, secant), mean = task.levels(nodes), np.zeros(task.shape)
