@@ -11,11 +11,11 @@ from functools import lru_cache
 
 import ducc0
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
 from ..._vectors import Array
+from ..aperture.quadrature_nodes import frozen
 from ..wave.detilted import Residual
 from ..window import antialiased_disc
 from ..window.grids import Pass, intensity
@@ -175,7 +175,4 @@ def _rim_table(radius: float, reach: int) -> tuple[float, float, Array]:
     """
     disc = antialiased_disc.SoftDisc(radius, reach)
     r = np.abs(disc.low + (np.arange(math.ceil((disc.high - disc.low) * STEPS) + 6) - 2) / STEPS)
-    place = (2 * r - disc.low - disc.high) / (disc.high - disc.low)
-    table = chebyshev.chebval(place, disc.series)
-    table.setflags(write=False)
-    return disc.low, disc.high, table
+    return disc.low, disc.high, frozen(disc.rim(r))

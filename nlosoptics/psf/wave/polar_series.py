@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import ducc0
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from ..._vectors import Array, ComplexArray
 from ..aperture.quadrature_nodes import frozen, gauss_legendre
@@ -382,13 +383,7 @@ def legendre_tables(n: int, fraction: Array) -> tuple[Array, Array]:
 
 def legendre(n: int, fraction: Array) -> Array:
     """Legendre polynomials P_k(2 f - 1) for k < n, (n, len(f))."""
-    x = 2 * fraction - 1
-    table = np.ones((n, x.size))
-    if n > 1:
-        table[1] = x
-    for k in range(1, n - 1):
-        table[k + 1] = ((2 * k + 1) * x * table[k] - k * table[k - 1]) / (k + 1)
-    return table
+    return np.asarray(legvander(2 * fraction - 1, n - 1).T)
 
 
 def _legendre_slopes(table: Array) -> Array:
