@@ -79,7 +79,7 @@ def stationary_point(terms, tables, o, p, x, y):
     return x, y, norm < ROUNDED
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")  # the spreading is infinite at a focus of the wall
 def _describe(o, p, x, y, s, axis, row):
     """Fill a row of `aim`, except its last column, at the stationary point (x, y)."""
     row[0], row[1], row[2] = x, y, s[0]

@@ -61,7 +61,7 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
             f"nodes, first node {int(np.argmax(lost))}: {where}"
         )
     curvature = out[:, 6]
-    if out[:, 5].min() < 0 < out[:, 5].max() or curvature.min() < 0 < curvature.max():
+    if out[:, 5].min() <= 0 <= out[:, 5].max() or curvature.min() < 0 < curvature.max():
         raise CausticError(
             f"rays to the pupil cross on a caustic (over the pupil the path's smaller curvature "
             f"runs from {curvature.min():.3g} to {curvature.max():.3g} 1/m): "
