@@ -221,15 +221,15 @@ def speckle_samples(
 ) -> tuple[Window, PixelRule | None]:
     """Return the sample points of a pattern, and the rule that averages them over pixels."""
     pitch, shape = window.pitch, window.shape
-    if not pixel_integrated and pitch > residual.nyquist_pitch * (1 + 1e-9):
+    if pixel_integrated:
+        rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
+        return rule.window(pitch, shape), rule
+    if pitch > residual.nyquist_pitch * (1 + 1e-9):
         raise SamplingError(
             f"pitch = {pitch:.3g} m is wider than the Nyquist pitch {residual.nyquist_pitch:.3g} "
             "m and does not resolve the speckles; use pixel_integrated=True"
         )
-    if not pixel_integrated:
-        return window, None
-    rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
-    return rule.window(pitch, shape), rule
+    return window, None
 
 
 def finest_pitch(view: RoughView, wavelength: float) -> float:

@@ -137,9 +137,8 @@ def _fill(
     from . import _antialiased_kernels
 
     pupil = residual.wavefront
-    rims = [_rim_table(grid.radius, grid.reach)]
-    if pupil.obscuration > 0:
-        rims.append(_rim_table(pupil.obscuration * grid.radius, grid.reach))
+    edges = (1.0, pupil.obscuration) if pupil.obscuration > 0 else (1.0,)
+    rims = [_rim_table(edge * grid.radius, grid.reach) for edge in edges]
     # A bound may be an integer, for which numba would compile the kernel again.
     lows, highs = (np.array([rim[i] for rim in rims], dtype=np.float64) for i in (0, 1))
     width = max(rim[2].size for rim in rims)
