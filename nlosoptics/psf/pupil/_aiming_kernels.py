@@ -42,8 +42,7 @@ def stationary_point(terms, tables, o, p, x, y):
     """Find a wall point at which the path from O by the wall to p is stationary.
 
     Newton's method with backtracking on the path's gradient, from the start (x, y), which must lie
-    on the surface. Returns (x, y), and whether the
-    path is stationary there.
+    on the surface. Returns (x, y), and whether the path is stationary there.
     """
     s = surface(terms, tables, x, y)
     if math.isnan(s[0]):

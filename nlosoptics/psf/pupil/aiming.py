@@ -111,7 +111,8 @@ def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, axis: Array, aimed
         others = _stationary_paths(wall, o, target, around, axis)
         apart = np.hypot(*(others[:, :2] - centre).T) > 1e-6
         seen = (others[:, 7] == 1) & apart & wall.contains(others[:, 0], others[:, 1])
-        for x, y in others[seen, :2]:
+        if seen.any():
+            x, y = others[int(np.argmax(seen)), :2]
             raise CausticError(
                 f"the wall shows the object more than once: pupil node {node} receives light "
                 f"from x = {x:.4g} m, y = {y:.4g} m and from x = {centre[0]:.4g} m, "

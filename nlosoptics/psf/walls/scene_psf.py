@@ -358,7 +358,8 @@ def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
 
 def error_of_sum(parts: Sequence[tuple[float, PointSpread]], error: str, peak: float) -> float:
     """Return an error of a sum of (weight, point spread) pairs, relative to its peak."""
-    return sum((n * float(p.intensity.max() / peak) * getattr(p, error) for n, p in parts), 0.0)
+    peaks = [weight * float(part.intensity.max() / peak) for weight, part in parts]
+    return sum((n * getattr(part, error) for n, (_, part) in zip(peaks, parts, strict=True)), 0.0)
 
 
 def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
