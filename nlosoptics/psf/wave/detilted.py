@@ -380,25 +380,21 @@ class GridResidual(_Sampled):
         for axis in (1, 0):
             total, pairs = np.zeros_like(wave.u), np.zeros_like(wave.u)
             sides = (np.s_[1:], np.s_[:-1]) if axis == 0 else (np.s_[:, 1:], np.s_[:, :-1])
-            step, both = self._steps[axis]
+            step, both = self._steps(axis)
             for side in sides:
                 total[side] += step
                 pairs[side] += both
             slopes.append(total / (np.maximum(pairs, 1.0) * wave.pupil_pitch))
         return self._landing(slopes[0], slopes[1], wave.amplitude**2 * wave.weights)
 
-    @cached_property
-    def _steps(self) -> list[tuple[Array, NDArray[np.bool_]]]:
-        """Steps between neighbours along each axis, and where they are of the wave.
+    def _steps(self, axis: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the steps between neighbours along an axis, and where they are of the wave.
 
         Elsewhere they are 0: between a lit sample and a dark one, and between different cells of an
         aperture, since segments may have any piston.
         """
-        inside = [np.diff(self._cells[0], axis=axis) == 0 for axis in (0, 1)]
-        return [
-            (np.where(both, np.diff(self.aberration, axis=axis), 0.0), both)
-            for axis, both in enumerate(inside)
-        ]
+        both = np.diff(self._cells[0], axis=axis) == 0
+        return np.where(both, np.diff(self.aberration, axis=axis), 0.0), both
 
     @cached_property
     def _cells(self) -> tuple[NDArray[np.int64], float]:
@@ -436,7 +432,7 @@ class GridResidual(_Sampled):
 
     def jump(self) -> tuple[float, tuple[int, ...]]:
         """Return the largest step of the residual between lit neighbours, waves, and its index."""
-        steps = [np.abs(step) for step, _ in self._steps]
+        steps = [np.abs(self._steps(axis)[0]) for axis in (0, 1)]
         largest = max(steps, key=np.max)  # that along the first axis if both are equal
         row, column = np.unravel_index(np.argmax(largest), largest.shape)
         return float(largest.max()) / self.wavefront.wavelength, (int(row), int(column))
