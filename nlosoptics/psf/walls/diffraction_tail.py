@@ -59,8 +59,10 @@ def widened(
     """
     point_spreads = expect("point_spreads", point_spreads, "PointSpread", "PointSpreadField")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
-    is_field = isinstance(point_spreads, PointSpreadField)
-    spread = point_spreads.mean() if is_field else point_spreads.intensity
+    if isinstance(point_spreads, PointSpreadField):
+        spread = point_spreads.mean()
+    else:
+        spread = point_spreads.intensity
     side, missing = max(spread.shape), 1.0 - float(spread.sum())
     wide = min(math.ceil(side * max(missing, 0.0) / tol), 2 * max(shape) - 1) | 1
     if wide <= side:
@@ -70,7 +72,9 @@ def widened(
         40.0 * wide**2,
         "use a larger tol, or an image of fewer pixels",
     )
-    return field_with_tail(point_spreads, wide) if is_field else with_tail(point_spreads, wide)
+    if isinstance(point_spreads, PointSpreadField):
+        return field_with_tail(point_spreads, wide)
+    return with_tail(point_spreads, wide)
 
 
 def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
