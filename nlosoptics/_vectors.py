@@ -1,4 +1,4 @@
-"""Products of many vectors or matrices, and views for compiled kernels."""
+"""Types of arrays, products of many vectors or matrices, and views for compiled kernels."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
 #: Multiplications per block of a matrix product. OpenBLAS shares larger products among threads, and
 #: the rounding would then depend on their number.
 BLOCK_PRODUCT = 2**18
 
 
-def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
+def dot(a: Array, b: Array) -> Any:
     """Return the scalar products (...) of vectors (..., 3); shapes broadcast.
 
     A numpy sum over an axis of length 3 gives the same bits but takes 18 times as long.
     """
-    total = a[..., 0] * b[..., 0]
-    total += a[..., 1] * b[..., 1]
-    total += a[..., 2] * b[..., 2]
-    return total
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
-def product(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+def product(left: Array, right: Array) -> Array:
     """Return ``left @ right`` with the same bits for any number of threads.
 
     Leading axes broadcast as in `numpy.matmul`.

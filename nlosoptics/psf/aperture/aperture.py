@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import fits_memory, in_range, positive, real, whole
 from ..._nouns import Noun
+from ..._vectors import Array
 from ...errors import SceneError
 from . import shapes as parts
 from .cells import Cell, polygon_cell, ring_cell
@@ -19,7 +20,6 @@ from .curves import Curve, box, cross, lengths, shares, within
 from .polygons import convex_polygon, simple_polygon
 from .quadrature_nodes import fitting_pitch, gauss_legendre
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Point = tuple[float, float]
 
@@ -190,7 +190,7 @@ class Aperture(Noun):
         positive("radius", radius, unit="m")
         turn = real("angle", angle) + 2 * math.pi * np.arange(sides) / sides
         corners = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        return cls((polygon_cell(simple_polygon(corners), obscuration),))
+        return cls.polygon(corners, obscuration=obscuration)
 
     @classmethod
     def hexagons(
@@ -509,7 +509,9 @@ class Aperture(Noun):
         """Raise `SceneError` if sample points of one cell's patches lie inside another cell."""
         boxes = [box(cell.outline) for cell in self.cells]
         # Inset, so that cells that merely touch do not overlap.
-        points = [parts.drawn_in(cell.sides, 1e-9) for cell in self.cells]
+        inset = np.linspace(1e-9, 1 - 1e-9, 64)
+        alone = (Aperture((cell,)) for cell in self.cells)
+        points = [part.map(inset, inset)[0].reshape(-1, 2) for part in alone]
         for i, (low, high) in enumerate(boxes):
             for j, (other_low, other_high) in enumerate(boxes):
                 if i == j or np.any(low >= other_high) or np.any(other_low >= high):

@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..._checks import whole
+from ..._vectors import Array
 from .aperture import Aperture
 from .quadrature_nodes import KEPT, frozen, polar_nodes
-
-Array = NDArray[np.float64]
 
 
 def pupil_points(

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import in_range
 from ..._nouns import Noun
+from ..._vectors import Array
 from ...errors import SceneError
 from .curves import Curve, moments
 from .polygons import Sides, sees_all, straight_sides
 
-Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._nouns import Noun
+from ..._vectors import Array
 from .quadrature_nodes import gauss_legendre
-
-Array = NDArray[np.float64]
 
 #: Longest arc after `Curve.parts`, rad: a few Gauss-Legendre nodes integrate it to rounding error.
 LONGEST = math.pi / 2 * (1 + 1e-12)
@@ -127,15 +126,6 @@ class Curve(Noun):
         step = np.asarray(by, dtype=np.float64)
         return Curve(self.base + step, self.step, self.cosine, self.sine, self.phase, self.turn)
 
-    def turned(self, angle: float) -> Curve:
-        """Return the curve in axes that are turned by an angle, rad."""
-        c, s = math.cos(angle), math.sin(angle)
-        axes = np.array([[c, -s], [s, c]])
-        base, step, cosine, sine = (
-            np.asarray(v @ axes) for v in (self.base, self.step, self.cosine, self.sine)
-        )
-        return Curve(base, step, cosine, sine, self.phase, self.turn)
-
     def meets(self, level: float | Array, axis: int) -> Array:
         """Return all t in (0, 1), unsorted, where a coordinate of a single curve is ``level``."""
         level = np.asarray(level, dtype=np.float64)
@@ -149,9 +139,18 @@ class Curve(Noun):
             top = math.atan2(self.sine[axis], self.cosine[axis])
             ratio = (level - base) / size
             side = np.arccos(ratio[np.abs(ratio) <= 1])
-            turn = float(self.turn)
-            angles = np.concatenate([top + side, top - side]) - float(self.phase)
-            t = np.mod(angles * math.copysign(1.0, turn), 2 * math.pi) / abs(turn)
+            return self._turned_by(np.concatenate([top + side, top - side]) - float(self.phase))
+        return np.asarray(t[(t > 0) & (t < 1)])
+
+    def turning_points(self, axis: int) -> Array:
+        """Return all t in (0, 1) at which a coordinate of a single arc has an extremum."""
+        top = math.atan2(self.sine[axis], self.cosine[axis]) - float(self.phase)
+        return self._turned_by(top + np.array([0.0, math.pi]))
+
+    def _turned_by(self, angles: Array) -> Array:
+        """Return the t in (0, 1) at angles, rad, from the start of a single arc."""
+        turn = float(self.turn)
+        t = np.mod(angles * math.copysign(1.0, turn), 2 * math.pi) / abs(turn)
         return np.asarray(t[(t > 0) & (t < 1)])
 
 
@@ -188,18 +187,9 @@ def box(pieces: Iterable[Curve]) -> tuple[Array, Array]:
     for piece in pieces:
         points.append(piece.at([0.0, 1.0]))
         if piece.is_arc:
-            points.append(piece.at(_turning_points(piece, 0)))
-            points.append(piece.at(_turning_points(piece, 1)))
+            points += [piece.at(piece.turning_points(axis)) for axis in (0, 1)]
     every = np.concatenate(points)
     return every.min(axis=0), every.max(axis=0)
-
-
-def _turning_points(arc: Curve, axis: int) -> Array:
-    """All t in (0, 1) at which a coordinate of an arc has an extremum."""
-    top = math.atan2(arc.sine[axis], arc.cosine[axis]) - float(arc.phase)
-    turn = float(arc.turn)
-    t = np.mod((top + np.array([0.0, math.pi])) * math.copysign(1, turn), 2 * math.pi) / abs(turn)
-    return np.asarray(t[(t > 0) & (t < 1)])
 
 
 def shares(outline: Iterable[Curve], x: Array, y: Array, pitch: float) -> Array:
@@ -257,7 +247,7 @@ def monotone_parts(curve: Curve) -> list[Curve]:
     """Pieces of a single curve along which v only rises or only falls."""
     if not curve.is_arc:
         return [curve]
-    t = np.concatenate([[0.0], np.sort(_turning_points(curve, 1)), [1.0]])
+    t = np.concatenate([[0.0], np.sort(curve.turning_points(1)), [1.0]])
     return [curve.part(a, b) for a, b in zip(t[:-1].tolist(), t[1:].tolist(), strict=True)]
 
 

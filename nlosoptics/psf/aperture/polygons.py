@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..._vectors import Array
 from ...errors import SceneError
 from .curves import Curve, cross
 
-Array = NDArray[np.float64]
 #: Opposite sides of a patch, at s = 0 and at s = 1; the first may be a point.
 Sides = tuple[Curve, Curve]
 

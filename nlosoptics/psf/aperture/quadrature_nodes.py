@@ -7,11 +7,9 @@ from functools import lru_cache
 
 import ducc0
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import fits_memory, in_range, positive, whole
-
-Array = NDArray[np.float64]
+from ..._vectors import Array
 
 #: Largest number of nodes of a pupil that is cached for later waves, 0.4 MB.
 KEPT = 2**14
@@ -76,7 +74,8 @@ def polar_nodes(
     >>> print(f"{1e6 * weights.sum():.6f} mm^2")
     3.141593 mm^2
     """
-    radius, obscuration = positive("radius", radius, unit="m"), _inner(obscuration)
+    radius = positive("radius", radius, unit="m")
+    obscuration = in_range("obscuration", obscuration, 0.0, 0.99)
     n_r, n_theta = whole("n_r", n_r), whole("n_theta", n_theta)
     fits_memory(f"{n_r} x {n_theta} pupil nodes", 80.0 * n_r * n_theta, "use fewer")
     inner = obscuration**2
@@ -120,7 +119,7 @@ def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[A
     pitch = fitting_pitch(radius, samples)
     axis = (np.arange(samples, dtype=np.float64) - samples // 2) * pitch
     share = circle_shares(axis, axis, pitch, radius)
-    if _inner(obscuration) > 0:
+    if in_range("obscuration", obscuration, 0.0, 0.99) > 0:
         share -= circle_shares(axis, axis, pitch, obscuration * radius)
     v, u = np.meshgrid(axis, axis, indexing="ij")
     return u, v, np.maximum(share, 0.0) * pitch**2
@@ -170,9 +169,3 @@ def _corner_areas(x: Array, y: Array, radius: float) -> Array:
     bent = (ay * xs - under_arc(xs))[:, None] + under_arc(ax)
     area = np.where(inside, ay[:, None] * ax, bent)
     return np.asarray(area * np.sign(y)[:, None] * np.sign(x))
-
-
-def _inner(obscuration: float) -> float:
-    """Return the ratio of inner to outer radius after checking that it is from 0 to below 1."""
-    in_range("obscuration", obscuration, 0.0, 0.99)
-    return float(obscuration)

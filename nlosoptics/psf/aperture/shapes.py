@@ -7,14 +7,12 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import counted, positive, real, shown
+from ..._vectors import Array
 from ...errors import SceneError
 from .curves import Curve
 from .polygons import Sides
-
-Array = NDArray[np.float64]
 
 #: Distance, relative to a radius, within which circles and sides touch rather than cross.
 TOUCHING: Final = 1e-12
@@ -178,8 +176,8 @@ def _free_arcs(
     for j in range(len(radii)):
         step = centres[j] - centres[i]
         apart = float(np.hypot(*step))
-        if j == i or apart + radii[i] <= radii[j] * (1 + TOUCHING):
-            continue  # disc j contains the whole circle i
+        if apart + radii[i] <= radii[j] * (1 + TOUCHING):
+            continue  # disc j contains the whole circle i, or is the same
         if not abs(radii[i] - radii[j]) < apart < radii[i] + radii[j]:
             return []  # disc j lies inside circle i, or the two are disjoint
         cosine = (apart**2 + radii[i] ** 2 - radii[j] ** 2) / (2 * apart * radii[i])
@@ -209,16 +207,3 @@ def _free_arcs(
         if high - low > 1e-9 and inside:
             found.append((low, high))
     return found
-
-
-def drawn_in(sides: Sequence[Sides], share: float) -> Array:
-    """Return sample points (n, 2), m, of a cell's patches, moved inward from their sides.
-
-    ``share`` is the displacement as a fraction of the patch's size.
-    """
-    fraction = np.linspace(share, 1 - share, 64)
-    found = []
-    for a, b in sides:
-        low, high = a.at(fraction)[None], b.at(fraction)[None]
-        found.append((low + (high - low) * fraction[:, None, None]).reshape(-1, 2))
-    return np.concatenate(found)

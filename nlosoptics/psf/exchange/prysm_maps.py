@@ -21,13 +21,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import expect, positive
+from ..._vectors import Array
 from ...errors import SceneError
 from ..wave.wavefront import Wavefront
-
-Array = NDArray[np.float64]
 
 
 class PrysmPupil(NamedTuple):

@@ -9,11 +9,12 @@ from typing import Literal
 
 import numpy as np
 import scipy  # loads scipy.optimize on first use
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import expect, numbers, one_of, positive, real
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._vectors import Array
 from ...errors import SamplingError, SceneError
 from ..transform.point_spread import point_spread
 from ..wave.detilted import split
@@ -22,7 +23,6 @@ from ..wave.wavefront import Wavefront
 from .psf_metrics import intensity_at, mtf, rms_aberration, spectrum_along
 from .spot_diagram import spot_radius
 
-Array = NDArray[np.float64]
 Criterion = Literal["strehl", "rms", "spot", "mtf"] | Callable[[Wavefront], float]
 LEAST = ("rms", "spot")  # criteria whose least value is best
 #: Least relative difference: of the criterion over the search, and between its two best maxima.

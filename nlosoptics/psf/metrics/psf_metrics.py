@@ -9,9 +9,10 @@ from dataclasses import replace
 import ducc0
 import numpy as np
 import scipy  # loads its parts on first use
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import counted, expect, fits_memory, numbers, one_of, real, shown, whole
+from ..._vectors import Array, ComplexArray
 from ...errors import SamplingError, SceneError
 from ..aperture.quadrature_nodes import circle_shares, gauss_legendre
 from ..transform import nufft, quadrature
@@ -22,9 +23,6 @@ from ..wave.wavefront import Wavefront
 from ..wave.zernikes import ORDERINGS, Ordering, zernike_basis
 from ..window.window import Window
 from .pupil_overlap import transfer
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> float:
@@ -231,9 +229,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     0.8378
     """
     source = expect("source", source, "PointSpread", "Wavefront")
-    radii = numbers("radius", radius)
-    if not np.all(np.isfinite(radii)) or np.any(radii < 0):
-        raise SceneError(f"radius = {shown(radius)} m; give finite radii of at least 0")
+    radii = _lengths("radius", radius, "radii")
     if isinstance(source, Wavefront):
         residual = split(source)
         if not residual.has_series:
@@ -249,13 +245,12 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
             "shape"
         )
     per_energy = source.enclosed_energy / float(np.sum(source.intensity))
-    values = [
-        float(np.sum(source.intensity * circle_shares(source.x, source.y, source.pitch, float(r))))
-        if r > 0
-        else 0.0
-        for r in radii.ravel()
-    ]
-    return np.array(values).reshape(radii.shape) * per_energy
+    energies = np.zeros(radii.shape)
+    for place, r in np.ndenumerate(radii):
+        if r > 0:
+            inside = circle_shares(source.x, source.y, source.pitch, float(r))
+            energies[place] = np.sum(source.intensity * inside)
+    return energies * per_energy
 
 
 def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
@@ -286,9 +281,7 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     encircled_energy : Energy within circles.
     """
     point_spread = expect("point_spread", point_spread, "PointSpread")
-    sides = numbers("side", side)
-    if not np.all(np.isfinite(sides)) or np.any(sides < 0):
-        raise SceneError(f"side = {shown(side)} m; give finite sides of at least 0")
+    sides = _lengths("side", side, "sides")
     x, y, pitch = point_spread.x, point_spread.y, point_spread.pitch
     edge = 2 * min(-x[0], x[-1], -y[0], y[-1]) + pitch
     if sides.size and sides.max() > edge * (1 + 1e-12):
@@ -304,6 +297,14 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
         on_x, on_y = (np.minimum(on, 2 * half / pitch) for on in (on_x, on_y))
         values.append(float(np.einsum("y,yx,x->", on_y, point_spread.intensity, on_x)))
     return np.array(values).reshape(sides.shape) * per_energy
+
+
+def _lengths(name: str, value: ArrayLike, plural: str) -> Array:
+    """Check lengths, m."""
+    lengths = numbers(name, value)
+    if not np.all(np.isfinite(lengths)) or np.any(lengths < 0):
+        raise SceneError(f"{name} = {shown(value)} m; give finite {plural} of at least 0")
+    return lengths
 
 
 def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0) -> Array:

@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..._checks import expect, whole
 from ..._nouns import Noun
+from ..._vectors import Array
 from ..transform.point_spread import PointSpread
 from ..wave.detilted import split
 from ..wave.wavefront import Wavefront
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,9 +10,7 @@ from ...kernels.compiling import njit
 from ...kernels.heights import surface
 from ...kernels.parallel import threaded
 
-FOUND, NOT_FOUND = 0, 1
 ROUNDED = 1e-11  # gradient of the path at which a point counts as stationary
-N_COLUMNS = 8  # x, y, z, excess, spreading, determinant, smaller curvature, status
 
 
 @njit(cache=True)
@@ -44,7 +42,8 @@ def stationary_point(terms, tables, o, p, x, y):
     """Find a wall point at which the path from O by the wall to p is stationary.
 
     Newton's method with backtracking on the path's gradient, from the start (x, y). A start beyond
-    the rim of the surface is moved toward its vertex, the origin. Returns (x, y, status).
+    the rim of the surface is moved toward its vertex, the origin. Returns (x, y), and whether the
+    path is stationary there.
     """
     s = surface(terms, tables, x, y)
     while math.isnan(s[0]) and abs(x) + abs(y) > 0.0:
@@ -53,11 +52,11 @@ def stationary_point(terms, tables, o, p, x, y):
     norm = math.hypot(gx, gy)
     for _ in range(60):
         if norm == 0.0:
-            return x, y, FOUND
+            return x, y, True
         det = hxx * hyy - hxy * hxy
         scale = max(abs(hxx), abs(hyy), abs(hxy))
         if abs(det) < 1e-14 * scale * scale:
-            return x, y, NOT_FOUND
+            return x, y, False
         dx, dy = -(hyy * gx - hxy * gy) / det, -(hxx * gy - hxy * gx) / det
         length = 1.0
         moved = False
@@ -74,15 +73,15 @@ def stationary_point(terms, tables, o, p, x, y):
             length *= 0.5
         if not moved:
             # Rounding stopped the descent. The error of the path is of second order in the rest.
-            return x, y, FOUND if norm < ROUNDED else NOT_FOUND
+            return x, y, norm < ROUNDED
         x, y, s, norm = xn, yn, sn, norm_n
         gx, gy, hxx, hxy, hyy = trial
-    return x, y, FOUND if norm < ROUNDED else NOT_FOUND
+    return x, y, norm < ROUNDED
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")  # the spreading is infinite at a focus of the wall
 def _describe(o, p, x, y, s, axis, row):
-    """Fill a row of `aim`, except its status, at the stationary point (x, y)."""
+    """Fill a row of `aim`, except its last column, at the stationary point (x, y)."""
     row[0], row[1], row[2] = x, y, s[0]
     _, _, hxx, hxy, hyy = _stationarity(o, p, x, y, s)
     det = hxx * hyy - hxy * hxy
@@ -111,16 +110,16 @@ def aim(terms, tables, o, nodes, starts, axis, out):
 
     Columns: wall point x, y, z, m; path excess over |O' - p|, m; spreading (irradiance on the
     pupil plane per radiant intensity at O, 1/m^2); determinant and smaller eigenvalue of the path's
-    Hessian; status. ``axis`` is the unit normal of the pupil plane.
+    Hessian; 1 if the path is stationary, else 0. ``axis`` is the unit normal of the pupil plane.
     """
     for i in prange(nodes.shape[0]):
         p = nodes[i]
-        x, y, status = stationary_point(terms, tables, o, p, starts[i, 0], starts[i, 1])
+        x, y, found = stationary_point(terms, tables, o, p, starts[i, 0], starts[i, 1])
         s = surface(terms, tables, x, y)
         out[i, 0], out[i, 1], out[i, 2] = x, y, s[0]
-        if status == FOUND:
+        if found:
             _describe(o, p, x, y, s, axis, out[i])
-        out[i, 7] = status
+        out[i, 7] = found
 
 
 @njit(cache=True)
@@ -135,6 +134,6 @@ def stationarities(o, nodes, points, surfaces, out):
 
 @njit(cache=True)
 def describe(o, nodes, points, surfaces, axis, out):
-    """Fill rows (n, 8) of `aim`, except their status, at stationary points (n, 2)."""
+    """Fill rows (n, 8) of `aim`, except their last column, at stationary points (n, 2)."""
     for i in range(nodes.shape[0]):
         _describe(o, nodes[i], points[i, 0], points[i, 1], surfaces[i], axis, out[i])

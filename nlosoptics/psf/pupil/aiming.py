@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import vector
+from ..._vectors import Array
 from ...errors import CausticError, SceneError
-from ...scene import CallableWall, Wall
+from ...scene import CallableWall, Scene, Wall
 from ...scene.parts.camera import pupil_frame
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -24,6 +22,13 @@ class AimedRays:
     points: Array  # (n, 3); Points at which the paths meet the wall, world frame, m
     excess: Array  # (n,); Path length minus the distance from the mirrored object point, m
     spreading: Array  # (n,); Irradiance on the pupil plane per unit radiant intensity, 1/m^2
+
+
+def point_of(scene: Scene, object_point: ArrayLike | None) -> Array:
+    """Return an object point (3,), m; by default the reference point of the hidden object."""
+    if object_point is None:
+        return scene.object_point
+    return np.array(vector("object_point", object_point))
 
 
 def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> AimedRays:
@@ -44,19 +49,8 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
         mirror_hits[:, 2] = 0.0
         zeros, spreading = np.zeros(len(nodes)), cosine / legs**2
         return AimedRays(points=mirror_hits, excess=zeros, spreading=spreading)
-    from ...kernels.heights import tables_for
-    from . import _aiming_kernels, callable_aiming
-
-    out = np.empty((len(nodes), _aiming_kernels.N_COLUMNS))
-    nodes, starts = np.ascontiguousarray(nodes), mirror_hits[:, :2].copy()
-    if isinstance(wall, CallableWall):
-        callable_aiming.aim(wall, o, nodes, starts, axis, out)
-    else:
-        # One thread for few nodes: others would wait longer than they help.
-        loop = _aiming_kernels.aim if len(nodes) > 30_000 else _aiming_kernels.aim.alone
-        terms, tables = wall.compiled()
-        loop(terms, tables_for(terms, tables), o, nodes, starts, axis, out)
-    lost = out[:, 7] != _aiming_kernels.FOUND
+    out = _stationary_paths(wall, o, nodes, mirror_hits[:, :2], axis)
+    lost = out[:, 7] == 0
     if lost.any():
         where = _caustic(wall, o, nodes[0], mirror_hits[0] * (1, 1, 0))
         raise CausticError(
@@ -64,17 +58,34 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
             f"nodes, first node {int(np.argmax(lost))}: {where}"
         )
     curvature = out[:, 6]
-    if out[:, 5].min() < 0 < out[:, 5].max() or curvature.min() < 0 < curvature.max():
+    if out[:, 5].min() <= 0 <= out[:, 5].max() or curvature.min() < 0 < curvature.max():
         raise CausticError(
             f"rays to the pupil cross on a caustic (over the pupil the path's smaller curvature "
             f"runs from {curvature.min():.3g} to {curvature.max():.3g} 1/m): "
             f"{_caustic(wall, o, nodes[0], out[0, :3])}"
         )
-    _refuse_several_paths(wall, o, nodes, out)
+    _refuse_several_paths(wall, o, nodes, axis, out)
     return AimedRays(points=out[:, :3], excess=out[:, 3], spreading=out[:, 4])
 
 
-def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> None:
+def _stationary_paths(wall: Wall, o: Array, nodes: Array, starts: Array, axis: Array) -> Array:
+    """Return a stationary path from O to each node, (n, 8) as the kernel `aim`, from its start."""
+    from ...kernels.heights import tables_for
+    from . import _aiming_kernels, callable_aiming
+
+    nodes, starts = np.ascontiguousarray(nodes), np.ascontiguousarray(starts)
+    out = np.empty((len(nodes), 8))
+    if isinstance(wall, CallableWall):
+        callable_aiming.aim(wall, o, nodes, starts, axis, out)
+        return out
+    # One thread for few nodes: others would wait longer than they help.
+    loop = _aiming_kernels.aim if len(nodes) > 30_000 else _aiming_kernels.aim.alone
+    terms, tables = wall.compiled()
+    loop(terms, tables_for(terms, tables), o, nodes, starts, axis, out)
+    return out
+
+
+def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, axis: Array, aimed: Array) -> None:
     """Raise `CausticError` if a node has further stationary paths; only curved walls can."""
     first = aimed[0]
     d1 = float(np.linalg.norm(first[:3] - o))
@@ -84,8 +95,6 @@ def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> N
     least = cosines[0] ** 2 / d1 + cosines[1] ** 2 / d2
     if sum(cosines) * wall.max_curvature < 0.8 * least:
         return
-    from . import _aiming_kernels
-
     reach = 2 * math.hypot(o[0] - nodes[0, 0], o[1] - nodes[0, 1]) + o[2] + float(nodes[0, 2])
     if math.isfinite(wall.finest_period):
         slope = wall.max_curvature * wall.finest_period / (2 * math.pi)
@@ -95,14 +104,17 @@ def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> N
     for node in (0, len(nodes) - 1):
         centre = aimed[node, :2]
         around = centre + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-        for x, y, status in stationary_points(wall, o, nodes[node], around):
-            apart = math.hypot(x - centre[0], y - centre[1])
-            if status == _aiming_kernels.FOUND and apart > 1e-6 and bool(wall.contains(x, y)):
-                raise CausticError(
-                    f"the wall shows the object more than once: pupil node {node} receives light "
-                    f"from x = {x:.4g} m, y = {y:.4g} m and from x = {centre[0]:.4g} m, "
-                    f"y = {centre[1]:.4g} m: {_caustic(wall, o, nodes[node], first[:3])}"
-                )
+        target = np.broadcast_to(nodes[node], (len(around), 3))
+        others = _stationary_paths(wall, o, target, around, axis)
+        apart = np.hypot(*(others[:, :2] - centre).T) > 1e-6
+        seen = (others[:, 7] == 1) & apart & wall.contains(others[:, 0], others[:, 1])
+        if seen.any():
+            x, y = others[int(np.argmax(seen)), :2]
+            raise CausticError(
+                f"the wall shows the object more than once: pupil node {node} receives light "
+                f"from x = {x:.4g} m, y = {y:.4g} m and from x = {centre[0]:.4g} m, "
+                f"y = {centre[1]:.4g} m: {_caustic(wall, o, nodes[node], first[:3])}"
+            )
 
 
 def _caustic(wall: Wall, o: Array, node: Array, hit: Array) -> str:
@@ -118,27 +130,6 @@ def _caustic(wall: Wall, o: Array, node: Array, hit: Array) -> str:
         f"{tangential:.3g} m and the wall's comes down to {1 / wall.max_curvature:.3g} m; use a "
         "flatter wall, a smaller stop, other distances, or rays instead of waves"
     )
-
-
-def stationary_points(
-    wall: Wall, o: Array, p: Array, starts: Array
-) -> Iterator[tuple[float, float, int]]:
-    """Yield the stationary wall point (x, y, status) of the path from O to p for each start.
-
-    ``o`` and ``p`` (3,) are in the world, m; ``starts`` (n, 2) are first guesses on the wall, m.
-    """
-    from ...kernels.heights import tables_for
-    from . import _aiming_kernels, callable_aiming
-
-    if isinstance(wall, CallableWall):
-        targets = np.broadcast_to(p, (len(starts), 3)).copy()
-        points, status = callable_aiming.stationary_points(wall, o, targets, starts)
-        yield from zip(points[:, 0].tolist(), points[:, 1].tolist(), status.tolist(), strict=True)
-        return
-    terms, tables = wall.compiled()
-    tables = tables_for(terms, tables)
-    for x, y in starts:
-        yield _aiming_kernels.stationary_point(terms, tables, o, p, x, y)
 
 
 def pupil_points(centre: ArrayLike, axis: Array, nodes: Array) -> Array:

@@ -5,26 +5,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...scene import Wall
 from . import _aiming_kernels
 
-Array = NDArray[np.float64]
 
-
-def stationary_points(
-    wall: Wall, o: Array, nodes: Array, starts: Array
-) -> tuple[Array, NDArray[np.int64]]:
-    """Find the wall points at which the paths from O by the wall to each node are stationary.
+def aim(wall: Wall, o: Array, nodes: Array, starts: Array, axis: Array, out: Array) -> None:
+    """Fill ``out`` (n, 8) with the stationary paths; the columns are those of the kernel `aim`.
 
     Newton's method with backtracking on the gradient of each path.
     """
 
     def stationarity(rows: NDArray[np.int64], at: Array) -> Array:
-        out = np.empty((len(rows), 5))
+        found = np.empty((len(rows), 5))
         _aiming_kernels.stationarities(
-            o, nodes[rows], at, wall.derivatives(at[:, 0], at[:, 1]), out
+            o, nodes[rows], at, wall.derivatives(at[:, 0], at[:, 1]), found
         )
-        return out
+        return found
 
     points = starts.copy()
     state = stationarity(np.arange(len(nodes)), points)
@@ -56,12 +53,6 @@ def stationary_points(
         if not len(active):
             break
     # Rounding stops the descent. The error of the paths is of second order in the gradient left.
-    return points, np.where(norm < 1e-11, _aiming_kernels.FOUND, _aiming_kernels.NOT_FOUND)
-
-
-def aim(wall: Wall, o: Array, nodes: Array, starts: Array, axis: Array, out: Array) -> None:
-    """Fill ``out`` (n, 8) with the stationary paths; the columns are those of the kernel `aim`."""
-    points, status = stationary_points(wall, o, nodes, starts)
     surfaces = wall.derivatives(points[:, 0], points[:, 1])
     _aiming_kernels.describe(o, nodes, points, surfaces, axis, out)
-    out[:, 7] = status
+    out[:, 7] = norm < _aiming_kernels.ROUNDED

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...errors import SceneError
 from ...raytrace import occluded
 from ...scene import Scene
-from .aiming import aim, pupil_points
-
-Array = NDArray[np.float64]
+from .aiming import aim, point_of, pupil_points
 
 
 def check_cone(scene: Scene, object_point: Array | None = None) -> bool:
@@ -26,7 +24,7 @@ def check_cone(scene: Scene, object_point: Array | None = None) -> bool:
     nodes = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
     nodes = np.concatenate([np.zeros((1, 2)), nodes])
     axis = scene.camera.axis
-    point = scene.object_point if object_point is None else object_point
+    point = point_of(scene, object_point)
     lens = pupil_points(np.array(scene.camera.position), axis, nodes)
     rays = aim(scene.wall, point, lens, axis)
     return hides(scene, point, rays.points, lens)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...errors import SceneError
 from ...scene import PlanarObject, Scene
 from .exit_pupil import ExitPupil
 from .wall_view import first_order
-
-Array = NDArray[np.float64]
 
 
 def wave_bends(scene: Scene, points: Array) -> Array:

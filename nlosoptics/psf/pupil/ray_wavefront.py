@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import counted, expect, positive
+from ..._vectors import Array
 from ...errors import CausticError, SamplingError, SceneError
 from ...raytrace import RayPaths
 from ...raytrace.fans.paths import DETECTED, ESCAPED
@@ -16,8 +17,6 @@ from ..wave.removed import Removed
 from ..wave.scattered_fits import cell_areas
 from ..wave.wavefront import Wavefront
 from .exit_pupil import ExitPupil
-
-Array = NDArray[np.float64]
 
 #: Least number of detected rays.
 FEWEST: Final = 64

@@ -7,16 +7,17 @@ from functools import cached_property
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..._checks import expect, vector
+from ..._checks import expect
+from ..._vectors import Array
 from ...errors import SamplingError
 from ...scene import Scene
+from .aiming import point_of
 from .exit_pupil import ExitPupil, exit_pupil
 from .wall_view import WallView, view_along
 from .wall_wavefront import AimedWave, aimed_wave
 
-Array = NDArray[np.float64]
 Found = TypeVar("Found")
 
 #: Numbers of pupil samples to try after those of ``nodes="auto"``: radii of polar nodes, with four
@@ -155,9 +156,7 @@ class SceneOptics:
             `wavefront` returns by default. Computations that need more pupil samples compute
             further waves of this point.
         """
-        if object_point is None:
-            return self.reference
-        point = np.array(vector("object_point", object_point))
+        point = point_of(self.scene, object_point)
         if np.array_equal(point, self.scene.object_point):
             return self.reference
         place = tuple(point.tolist())

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import positive
+from ..._vectors import Array
 from ...errors import SamplingError, SceneError
 from ..wave.wavefront import Wavefront
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: Largest number of conjugate-gradient steps; a disc needs about 20.

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..._checks import expect, vector
+from ..._checks import expect
 from ..._nouns import Noun
+from ..._vectors import Array
 from ...scene import Scene, Wall
-from .aiming import aim, pupil_points
+from .aiming import aim, point_of, pupil_points
 from .exit_pupil import exit_pupil
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,11 +99,7 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     crosses the pupil and the lens in discs, whose radii have a ratio m; then ``footprint`` is M/m.
     """
     scene = expect("scene", scene, "Scene")
-    o = (
-        scene.object_point
-        if object_point is None
-        else np.array(vector("object_point", object_point))
-    )
+    o = point_of(scene, object_point)
     zoom = exit_pupil(scene).image_distance / scene.image_distance
     axis = scene.camera.axis
     lens = pupil_points(np.array(scene.camera.position), axis, np.zeros((1, 2)))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import expect, numbers, one_of, vector, whole
+from ..._vectors import Array
 from ...errors import NotWaveGradeError, SamplingError, SceneError
 from ...scene import MeshWall, Scene, Wall
 from ..aperture.aperture import Aperture
@@ -18,22 +19,23 @@ from ..wave.detilted import Residual, split
 from ..wave.removed import Removed
 from ..wave.sampling import Sampling, nodes_of
 from ..wave.wavefront import Layout, Wavefront
-from .aiming import AimedRays, aim, pupil_points
+from .aiming import AimedRays, aim, point_of, pupil_points
 from .exit_pupil import ExitPupil, exit_pupil
 from .obstruction import hides
 
-Array = NDArray[np.float64]
 #: Grid cells per side for ``nodes="auto"``. More cells reduce the error of a cut rim; 512 take
 #: about 0.3 s.
 AUTO_GRID_SAMPLES = 512
 
 
-def _check_nodes(nodes: Array) -> None:
-    """Raise `SceneError` unless nodes are finite and of shape (n, 2)."""
-    if nodes.ndim != 2 or nodes.shape[1] != 2:
-        raise SceneError(f"nodes have shape {nodes.shape}; give (n, 2), u and v in m")
-    if not np.isfinite(nodes).all():
+def _checked_nodes(nodes: ArrayLike) -> Array:
+    """Return finite nodes (n, 2), m."""
+    points = numbers("nodes", nodes)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise SceneError(f"nodes have shape {points.shape}; give (n, 2), u and v in m")
+    if not np.isfinite(points).all():
         raise SceneError("nodes hold NaN or infinity; give finite pupil coordinates in m")
+    return points
 
 
 def wall_aberration(
@@ -108,9 +110,7 @@ def wall_aberration(
         raise SceneError("pupil_aim equals pupil_centre; aim at a point of the wall")
     axis /= np.linalg.norm(axis)
     expect("wall", wall, "Wall")
-    flat_nodes = numbers("nodes", nodes)
-    _check_nodes(flat_nodes)
-    with_centre = np.concatenate([np.zeros((1, 2)), flat_nodes])
+    with_centre = np.concatenate([np.zeros((1, 2)), _checked_nodes(nodes)])
     rays = aim(wall, object_point, pupil_points(centre, axis, with_centre), axis)
     return np.asarray(rays.excess[1:] - rays.excess[0])
 
@@ -191,10 +191,7 @@ def wavefront(
     polar (24, 96) 0.0 nm
     """
     scene = expect("scene", scene, "Scene")
-    if object_point is None:
-        o = scene.object_point
-    else:
-        o = np.array(vector("object_point", object_point))
+    o = point_of(scene, object_point)
     return aimed_wave(scene, exit_pupil(scene), o, nodes, samples).wave
 
 
@@ -343,8 +340,7 @@ def _pupil_nodes(
 ) -> tuple[Layout, Array, Array, Array]:
     """Return layout, coordinates u and v, m, and areas, m^2, of the requested pupil nodes."""
     if not isinstance(nodes, str):
-        points = numbers("nodes", nodes)
-        _check_nodes(points)
+        points = _checked_nodes(nodes)
         if samples is not None:
             raise SceneError(f"samples = {samples} with nodes given as an array; leave it out")
         u, v = points[:, 0].copy(), points[:, 1].copy()

@@ -6,14 +6,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...errors import CausticError
 from ...scene import FacetWall, GaussianWall
 from ..wave.wavefront import Wavefront
 from .relief import ReliefView
-
-Array = NDArray[np.float64]
 
 
 def rough_wave(wave: Wavefront, view: ReliefView) -> Wavefront:

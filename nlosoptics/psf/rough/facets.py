@@ -8,13 +8,11 @@ from functools import cached_property
 from typing import ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...scene import FacetWall
 from ..aperture.quadrature_nodes import gauss_legendre
 from .view import RoughView
-
-Array = NDArray[np.float64]
 
 #: Gauss nodes along each axis of a pair of facets; the error is below 3e-8 at any rms phase.
 NODES: Final = 12

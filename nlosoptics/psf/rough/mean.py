@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import fits_memory, in_range, one_of, positive
+from ..._vectors import Array
 from ...errors import SamplingError
 from ...scene import Scene
 from ..pupil.scene_optics import SceneOptics
@@ -31,8 +32,6 @@ from .roughness import Roughness
 from .scattered_light import EPSILON, PIXEL_BYTES, Scattering
 from .source import rough_source
 from .view import RoughView
-
-Array = NDArray[np.float64]
 
 #: Energy fraction of the smooth core below which it is left out, since it is below rounding.
 NO_CORE: Final = 2e-17
@@ -64,15 +63,13 @@ class RoughPointSpread(PointSpread):
     coherent: Array
     rayleigh_parameter: float
     coherent_fraction: float = math.nan
+    _images = ("intensity", "coherent")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if math.isnan(self.coherent_fraction):
             found = math.exp(-(self.rayleigh_parameter**2))
             object.__setattr__(self, "coherent_fraction", found)
-        coherent = np.array(self.coherent, dtype=np.float64, order="C")
-        coherent.setflags(write=False)
-        object.__setattr__(self, "coherent", coherent)
 
     @property
     def diffuse(self) -> Array:

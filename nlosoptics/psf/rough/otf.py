@@ -12,13 +12,11 @@ import scipy  # loads scipy.ndimage on first use
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import Array, ComplexArray
 from ..aperture.quadrature_nodes import grid_nodes
 from ..wave.detilted import Residual
 from ..wave.polar_series import values_at
 from ..window.rim_tails import edge_ratio
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 #: Peak memory per cell, bytes, and least number of cells across the pupil.
 CELL_BYTES, LEAST_CELLS = 400.0, 128

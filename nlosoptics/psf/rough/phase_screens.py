@@ -9,15 +9,12 @@ from typing import Final
 
 import ducc0
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import fits_memory
 from ..._random import generator
+from ..._vectors import Array, ComplexArray
 from ...errors import SceneError
 from .view import RoughView
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 #: Largest ``max(1, s^2) (1 - C)`` between neighbours: a pitch of l/(3 s) for the Gaussian C.
 STEP: Final = 1 / 9

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import Array, ComplexArray
 from ...errors import SceneError
 from ...scene import FacetWall, GaussianWall, HeightMapWall
 from ..wave.wavefront import Wavefront
 from .phase_screens import phase_field, propagated, spreading_matrix
 from .view import RoughView
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 #: Walls with given heights.
 Relief = FacetWall | GaussianWall | HeightMapWall
 

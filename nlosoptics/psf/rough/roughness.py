@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import in_range, one_of, positive
 from ..._nouns import Noun, check_pickles
+from ..._vectors import Array
 from ...errors import SceneError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

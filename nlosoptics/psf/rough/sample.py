@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import islice
 
 import ducc0
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import one_of, whole
+from ..._vectors import Array, ComplexArray
 from ...errors import SamplingError, SceneError
 from ...scene import Scene
 from ..pupil.scene_optics import SceneOptics
@@ -29,9 +31,6 @@ from .relief import Relief, ReliefScreen, ReliefView, relief_screen, relief_stri
 from .roughness import Roughness
 from .source import rough_source
 from .view import RoughView
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def sample_point_spread(
@@ -173,7 +172,8 @@ def detilted_sample(
         between = Between(screen.size, step, n) if step > 1 else None
         mean = np.zeros(shape)
         for k, field in enumerate(islice(screen.draw(seed), patterns)):
-            through = seen_through(grid, field, between)
+            phases = field[:n, :n] if between is None else between(field)
+            through = replace(grid, values=grid.values * phases)
             mean += mdft.intensity_in(residual, through, samples, rule)
             if k == 0:
                 seen, spill = through, spilled(field)
@@ -221,15 +221,15 @@ def speckle_samples(
 ) -> tuple[Window, PixelRule | None]:
     """Return the sample points of a pattern, and the rule that averages them over pixels."""
     pitch, shape = window.pitch, window.shape
-    if not pixel_integrated and pitch > residual.nyquist_pitch * (1 + 1e-9):
+    if pixel_integrated:
+        rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
+        return rule.window(pitch, shape), rule
+    if pitch > residual.nyquist_pitch * (1 + 1e-9):
         raise SamplingError(
             f"pitch = {pitch:.3g} m is wider than the Nyquist pitch {residual.nyquist_pitch:.3g} "
             "m and does not resolve the speckles; use pixel_integrated=True"
         )
-    if not pixel_integrated:
-        return window, None
-    rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
-    return rule.window(pitch, shape), rule
+    return window, None
 
 
 def finest_pitch(view: RoughView, wavelength: float) -> float:
@@ -299,13 +299,6 @@ def wall_screen(
 def _lattice(n: int, step: int) -> int:
     """Return the lattice points per side that enclose n pupil points, at every ``step``-th."""
     return n if step == 1 else -(-n // step) + 1
-
-
-def seen_through(grid: PupilGrid, field: ComplexArray, between: Between | None) -> PupilGrid:
-    """Return the pupil function times the field of a random wall."""
-    n = grid.values.shape[0]
-    phases = field[:n, :n] if between is None else between(field)
-    return PupilGrid(grid.values * phases, grid.pitch, grid.jump, grid.rim)
 
 
 def spilled(field: ComplexArray) -> float:

@@ -11,9 +11,9 @@ from typing import Final
 
 import ducc0
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import fits_memory, memory_limit
+from ..._vectors import Array, ComplexArray
 from ..aperture.quadrature_nodes import gauss_legendre
 from ..transform import costs
 from ..transform.wide_pixels import MODEL, binned, tail_pixels
@@ -22,9 +22,6 @@ from ..window.rim_tails import edge_ratio
 from ..window.window import Window, peak_pixel, ray_reach
 from .otf import CELL_BYTES, LEAST_CELLS, Transfer, cells_across, transfer
 from .view import RoughView
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 #: First and largest refinement of the nodes relative to the rule of thumb, made for small errors.
 FIRST: Final = 0.7

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import in_range
+from ..._vectors import Array
 from ...errors import SceneError
 from ...scene import FacetWall, GaussianWall, HeightMapWall, Scene
 from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
@@ -22,7 +23,6 @@ from .relief import Relief, ReliefView
 from .roughness import Roughness
 from .view import RoughView
 
-Array = NDArray[np.float64]
 Found = TypeVar("Found")
 
 

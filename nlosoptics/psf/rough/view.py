@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..wave.wavefront import Wavefront
 from .roughness import Roughness
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,14 @@ import math
 
 from ...kernels.compiling import njit
 from ..wave._wave_kernels import phasors
+from ..window.antialiased_disc import STEP
+
+#: Distances outside the rim, cells, at which leakage is evaluated, and the leakage from there times
+#: cells per radius.
+ZONES = tuple(
+    (t, 6.0 * math.exp(-((math.pi * STEP * t) ** 2)) / (math.pi * t))
+    for t in (1.5, 4.5, 7.5, 10.5, 13.5, 16.5)
+)
 
 
 @njit(cache=True, nogil=True)
@@ -123,39 +131,38 @@ def _along_row(coefficients, y, step, centre, across, out, first):
 
 
 @njit(cache=True, nogil=True)
-def _leak(s, width):
-    """Evaluate `antialiased_disc.leak` for one distance ``s``, in periods, and a step width."""
-    return 0.5 * math.erfc((0.5 - s) / width)
+def _leak(s):
+    """Evaluate `antialiased_disc.leak` for one distance ``s``, in periods."""
+    return 0.5 * math.erfc((0.5 - s) / STEP)
 
 
 @njit(cache=True, nogil=True)
-def rim_errors(distance, period, reach, edges, zones, landing, width, out):
+def rim_errors(distance, period, reach, edges, landing, out):
     """Fill ``out`` (n,) with a bound of the field error within each of the increasing distances.
 
-    Lengths are in Airy units; a period of ``period`` has ``period/2`` cells per pupil radius. Rows
-    of ``zones`` (m, 2) are a distance beyond the rim, cells, and the field's strength there.
+    Lengths are in Airy units; a period of ``period`` has ``period/2`` cells per pupil radius.
     ``landing`` (2, k) holds radii relative to the pupil's and the largest landing distance of rays
     from them. See `antialiased_pupil.rim_of`.
     """
     cells = 0.5 * period
-    base = 2.0 * _leak(reach / period, width) / max(math.pi * reach, 1.0) * edges
-    for i in range(zones.shape[0]):
-        radius, k = 1.0 + zones[i, 0] / cells, 0
+    base = 2.0 * _leak(reach / period) / max(math.pi * reach, 1.0) * edges
+    for beyond, strength in ZONES:
+        radius, k = 1.0 + beyond / cells, 0
         while k < landing.shape[1] - 2 and landing[0, k + 1] < radius:
             k += 1
         slope = (landing[1, k + 1] - landing[1, k]) / (landing[0, k + 1] - landing[0, k])
         lands = slope * (min(radius, landing[0, k + 1]) - landing[0, k]) + landing[1, k]
-        base += zones[i, 1] / cells * _leak(lands / period, width)
+        base += strength / cells * _leak(lands / period)
     most = 0.0
     for i in range(distance.shape[0]):
         far = distance[i] + reach
         tail = min(1.0, math.sqrt(8.0 / (math.pi * max(math.pi * far, 1.0) ** 3)))
-        most = max(most, 3.0 * _leak(far / period, width) * tail * edges)
+        most = max(most, 3.0 * _leak(far / period) * tail * edges)
         out[i] = most + base
 
 
 @njit(cache=True, nogil=True)
-def least_period(least, widest, light, goal, error, distance, reach, edges, zones, landing, width):
+def least_period(least, widest, light, goal, error, distance, reach, edges, landing):
     """Find the smallest period, within 1 %, whose `rim_errors` change the intensity by < ``goal``.
 
     ``light`` is the field's envelope at the distances. The search runs from ``least`` to
@@ -163,7 +170,7 @@ def least_period(least, widest, light, goal, error, distance, reach, edges, zone
     """
     low, high, period = least, widest, least
     while True:
-        rim_errors(distance, period, reach, edges, zones, landing, width, error)
+        rim_errors(distance, period, reach, edges, landing, error)
         enough = True
         for i in range(error.shape[0]):
             enough &= 2.0 * light[i] * error[i] + error[i] * error[i] < goal

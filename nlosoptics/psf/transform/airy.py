@@ -6,14 +6,12 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..aperture.quadrature_nodes import frozen
 from ..wave.detilted import Residual
 from ..window.error_bounds import ROUNDING
 from ..window.window import Window
-
-Array = NDArray[np.float64]
 
 #: Expansion points per radian of the table of Taylor series; truncation error 4e-17 with 9 terms.
 STEPS = 8

@@ -11,18 +11,17 @@ from functools import lru_cache
 
 import ducc0
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import Array
+from ..aperture.quadrature_nodes import frozen
 from ..wave.detilted import Residual
 from ..window import antialiased_disc
 from ..window.grids import Pass, intensity
 from ..window.pixels import PixelRule
 from ..window.window import Window
 from .antialiased_pupil import SoftWave
-
-Array = NDArray[np.float64]
 
 #: Points per cell in the table of a softened rim; six-point interpolation then has error 2e-15.
 STEPS = 256
@@ -138,9 +137,8 @@ def _fill(
     from . import _antialiased_kernels
 
     pupil = residual.wavefront
-    rims = [_rim_table(grid.radius, grid.reach)]
-    if pupil.obscuration > 0:
-        rims.append(_rim_table(pupil.obscuration * grid.radius, grid.reach))
+    edges = (1.0, pupil.obscuration) if pupil.obscuration > 0 else (1.0,)
+    rims = [_rim_table(edge * grid.radius, grid.reach) for edge in edges]
     # A bound may be an integer, for which numba would compile the kernel again.
     lows, highs = (np.array([rim[i] for rim in rims], dtype=np.float64) for i in (0, 1))
     width = max(rim[2].size for rim in rims)
@@ -176,7 +174,4 @@ def _rim_table(radius: float, reach: int) -> tuple[float, float, Array]:
     """
     disc = antialiased_disc.SoftDisc(radius, reach)
     r = np.abs(disc.low + (np.arange(math.ceil((disc.high - disc.low) * STEPS) + 6) - 2) / STEPS)
-    place = (2 * r - disc.low - disc.high) / (disc.high - disc.low)
-    table = chebyshev.chebval(place, disc.series)
-    table.setflags(write=False)
-    return disc.low, disc.high, table
+    return disc.low, disc.high, frozen(disc.rim(r))

@@ -13,28 +13,19 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..wave.detilted import Residual
 from ..wave.polar_series import PolarSpectrum
 from ..wave.pupil_polynomials import polynomial_of
-from ..window import antialiased_disc, error_bounds
+from ..window import error_bounds
 from ..window.window import Window
 from .quadrature import predicted_peak
-
-Array = NDArray[np.float64]
 
 #: Largest relative amplitude variation for which this method is used.
 UNEVEN = 0.3
 #: Distances, relative to the window's reach, at which the error is evaluated.
 RINGS = np.linspace(0.0, 1.0, 17)
-#: Distances outside the rim, cells, at which leakage is evaluated.
-BEYOND = np.arange(1.5, antialiased_disc.REACH, 3.0)
-#: Rows (distance, strength): each `BEYOND`, and the leakage from there times cells per radius.
-ZONES = np.stack(
-    [BEYOND, 6 * np.exp(-((math.pi * antialiased_disc.STEP * BEYOND) ** 2)) / (math.pi * BEYOND)],
-    axis=1,
-)
 #: Radii, relative to the pupil's, at which slopes are evaluated.
 CIRCLES = np.concatenate([np.linspace(1.0, 1.5, 11), [1.75, 2.0, 3.0, 5.0]])
 
@@ -100,20 +91,14 @@ class Rim(NamedTuple):
     edges : float
         The rims' length over the pupil's area, relative to a clear disc, times
         `SoftWave.strength`.
-    zones : ndarray, (n, 2)
-        Distances beyond the rim, cells, and the leakage from there times cells per radius.
     landing : ndarray, (2, n)
         The radii `CIRCLES` outside the rim and the landing distance of rays from there, where a
         polynomial is steeper.
-    width : float
-        Width of the kernel's step.
     """
 
     reach: float
     edges: float
-    zones: Array
     landing: Array
-    width: float
 
     def errors(self, distance: Array, period: float) -> Array:
         """Bound the field's error within each of the increasing distances, for an image period.
@@ -142,7 +127,7 @@ def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     landing = np.stack([CIRCLES, 2 / pupil.wavelength * steepest])
     edges = wave.strength / (1 - pupil.obscuration)
     reach = residual.rays.reach / residual.airy_unit
-    return Rim(reach, edges, ZONES, landing, antialiased_disc.STEP)
+    return Rim(reach, edges, landing)
 
 
 def period_of(

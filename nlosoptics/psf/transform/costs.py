@@ -6,6 +6,8 @@ factor of about three. They order the transforms and prevent runs of excessive l
 
 from __future__ import annotations
 
+import math
+
 from ..window.window import Window
 
 #: Overhead of any transform, s: calls, checks, small arrays and the wave's regime.
@@ -14,7 +16,7 @@ CALL = 1.2e-3
 
 def sum_over_nodes(n_nodes: float, window: Window) -> float:
     """Predict the seconds of a non-uniform transform of ``n_nodes`` to a window."""
-    return CALL + 1.4e-7 * n_nodes + 3e-8 * points(window)
+    return CALL + 1.4e-7 * n_nodes + 3e-8 * math.prod(window.shape)
 
 
 def map_sums(n: int, window: Window) -> float:
@@ -32,8 +34,3 @@ def map_bytes(n: int, window: Window) -> float:
 def scattered(cells: float, nodes: float, points: float, pixels: float) -> float:
     """Predict the seconds of `Scattering` from its counts of cells to pixels."""
     return 9e-3 + 7e-7 * cells + 6.2e-7 * nodes + 2.4e-7 * points + 5e-7 * pixels
-
-
-def points(window: Window) -> float:
-    """Return the number of points of a window, as a float that cannot overflow."""
-    return float(window.shape[0]) * window.shape[1]

@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import Array
 from ..wave.detilted import Residual
 from ..window.window import Window
-
-Array = NDArray[np.float64]
 
 #: Width of the blur that models diffraction, in units of sqrt(lambda d^2 W'') and of lambda N.
 FRESNEL, AIRY = 1.5, 2.0

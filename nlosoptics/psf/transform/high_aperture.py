@@ -11,16 +11,15 @@ from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import one_of, real
+from ..._vectors import Array
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
 from ..wave.detilted import Residual
 from .nufft import Nodes
 
-Array = NDArray[np.float64]
 Polarisation = Literal["unpolarised", "x", "y"] | float
 
 #: Relative error to which the nodes resolve the weights near grazing directions.

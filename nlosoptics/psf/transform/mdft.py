@@ -10,14 +10,12 @@ import math
 
 import ducc0
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array, ComplexArray
 from ..wave.detilted import Residual
-from ..window.grids import ComplexArray, Pass, PupilGrid, intensity
+from ..window.grids import Pass, PupilGrid, intensity
 from ..window.pixels import PixelRule
 from ..window.window import Window
-
-Array = NDArray[np.float64]
 
 
 def intensity_in(

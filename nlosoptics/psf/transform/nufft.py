@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
-from ..._vectors import read_only
+from ..._vectors import Array, read_only
 from ..wave.detilted import Residual
 from ..window.window import Window
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 #: Number of nodes plus points up to which the transform uses the accuracy `BEST`.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..._checks import expect, fits_memory, in_range, one_of, positive, seconds_limit
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._vectors import Array
 from ..._xarray import Labelled, Labels, variable
 from ...errors import SamplingError
 from ..wave.detilted import Residual, split
@@ -31,7 +32,6 @@ from .models import Model, check_model, modelled
 from .task import Task
 from .transforms import ABLE
 
-Array = NDArray[np.float64]
 Method = Literal["auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric"]
 Normalisation = Literal["unit-sum", "ideal-peak", "flux"]
 METHODS = ("auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric")
@@ -104,12 +104,15 @@ class PointSpread(Noun, Shown, Labelled):
     model: str = "scalar"
     model_error: float = math.inf
 
+    _images: ClassVar[tuple[str, ...]] = ("intensity",)  # arrays of its own, read-only
+
     def __post_init__(self) -> None:
-        given = np.asarray(self.intensity)
-        if given.flags.writeable or given.base is not None or not given.flags.c_contiguous:
-            given = np.array(given, dtype=np.float64, order="C")
-            given.setflags(write=False)
-        object.__setattr__(self, "intensity", np.asarray(given, dtype=np.float64))
+        for name in self._images:
+            given = np.asarray(getattr(self, name))
+            if given.flags.writeable or given.base is not None or not given.flags.c_contiguous:
+                given = np.array(given, dtype=np.float64, order="C")
+                given.setflags(write=False)
+            object.__setattr__(self, name, np.asarray(given, dtype=np.float64))
 
     @property
     def shape(self) -> tuple[int, int]:

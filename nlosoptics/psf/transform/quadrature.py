@@ -7,15 +7,14 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..aperture.quadrature_nodes import frozen
 from ..wave.detilted import Residual
 from ..window import error_bounds
 from ..window.window import Window
 from . import nufft
 
-Array = NDArray[np.float64]
 #: Semi-axis sums of the ellipses on which `growth` bounds a wave.
 RHO = 1 + np.geomspace(0.02, 20.0, 48)
 LOG = np.log(RHO)

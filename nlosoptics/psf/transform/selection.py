@@ -64,7 +64,7 @@ def automatic(task: Task, max_seconds: float) -> Result:
             result = transform(task, found.method)
         except (SamplingError, MemoryLimitError) as refusal:
             refusals.append(refusal)
-            notes.append(f"{found.method} failed: {_first_clause(refusal)}")
+            notes.append(f"{found.method} failed: {str(refusal).split(';')[0]}")  # no remedy
             continue
         if result.error <= task.tol:
             reason = _reason(found, task.tol, notes, ordered[i + 1 :])
@@ -174,8 +174,3 @@ def _too_long(task: Task, cheapest: Candidate, reached: float, max_seconds: floa
         f"about {lasting(cheapest.seconds)}, limit max_seconds = {max_seconds:g}; use "
         + ", or ".join(remedies)
     )
-
-
-def _first_clause(refusal: NlosError) -> str:
-    """Return an error message without its remedy."""
-    return str(refusal).split(";")[0]

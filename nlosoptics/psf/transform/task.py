@@ -8,8 +8,8 @@ from functools import cached_property, reduce
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..wave.detilted import Residual
 from ..wave.regime import Regime, regime
 from ..window import antialiased_disc, error_bounds
@@ -17,7 +17,6 @@ from ..window.pixels import PixelRule
 from ..window.window import Window
 from . import antialiased_fft, antialiased_pupil, high_aperture, nufft, quadrature
 
-Array = NDArray[np.float64]
 #: Pixel side, Airy units, up to which errors are assumed not to average out over a pixel.
 NO_BEATS = 0.8
 

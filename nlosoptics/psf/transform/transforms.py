@@ -9,11 +9,12 @@ from typing import Final
 import numpy as np
 
 from ..._checks import fits_memory
+from ..._vectors import Array
 from ...errors import SamplingError
 from ..window import error_bounds
 from ..window.grids import PupilGrid, pupil_grid
 from . import airy, antialiased_fft, antialiased_pupil, costs, geometric, mdft, nufft, quadrature
-from .task import Array, Image, Result, Soft, Task
+from .task import Image, Result, Soft, Task
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
 MANY_WAVES: Final = 20
@@ -57,7 +58,7 @@ class Airy(Transform):
 
     def seconds(self, task: Task) -> float:
         """Predict the run time, s."""
-        return costs.CALL + 3e-8 * costs.points(task.samples)  # one Bessel function per point
+        return costs.CALL + 3e-8 * math.prod(task.samples.shape)  # one Bessel function per point
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""
@@ -118,7 +119,7 @@ class FewNodes(Transform):
         digits = -math.log10(task.coarse.epsilon)
         per_node = 3e-8 + 1e-9 * digits**2
         nodes = math.prod(task.coarse.counts)
-        return 6e-4 + per_node * nodes + 1.2e-8 * costs.points(task.samples)
+        return 6e-4 + per_node * nodes + 1.2e-8 * math.prod(task.samples.shape)
 
     def n_bytes(self, task: Task) -> float:
         """Predict the peak memory, bytes."""

@@ -7,14 +7,13 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..wave.detilted import Residual
 from ..window.window import peak_pixel, ray_reach
 from .models import Model, wide_pixel_error
 from .point_spread import PointSpread, point_spread
 
-Array = NDArray[np.float64]
 #: Distances from a point to the sides of a rectangle: (down, up), (left, right).
 Sides = tuple[tuple[float, float], tuple[float, float]]
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import expect, fits_memory, in_range
+from ..._vectors import Array
 from ...errors import SamplingError, SceneError
 from ..rough.mean import RoughPointSpread
 from ..transform.point_spread import PointSpread
@@ -16,8 +16,6 @@ from ..transform.wide_pixels import Sides, tail_pixels
 from ..window.window import middle
 from .field import PointSpreadField
 from .hybrid import HybridPointSpread
-
-Array = NDArray[np.float64]
 
 
 def widened(

@@ -8,12 +8,13 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import carried, fits_memory, in_range, is_single, positive, whole
 from ..._nouns import Noun
 from ..._progress import Progress
 from ..._random import generator
+from ..._vectors import Array
 from ...errors import SamplingError, SceneError
 from ...raytrace.intersection.meshes import worker_pool
 from ...scene import PlanarObject, Scene
@@ -21,7 +22,6 @@ from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
 from ..transform.point_spread import PointSpread
 from .scene_psf import point_window, wall_image
 
-Array = NDArray[np.float64]
 #: Coordinates of an object point across and up, -1 to 1 from edge to edge.
 Place = tuple[float, float]
 EDGES: Final = np.array([-1.0, 1.0])
@@ -295,7 +295,11 @@ class SampledSpreads:
         up: Array = EDGES,
     ) -> None:
         self.optics, self.pitch, self.tol = optics, pitch, tol
-        self._hidden = _picture(optics.scene)
+        if not isinstance(optics.scene.hidden, PlanarObject):
+            raise SceneError(
+                "scene.hidden is a mesh; point spreads over a field need a PlanarObject"
+            )
+        self._hidden = optics.scene.hidden
         corners = {(float(x), float(y)) for y in (up[0], up[-1]) for x in (across[0], across[-1])}
         seen = [self._optics_at(place) for place in sorted(corners | {(0.0, 0.0)})]
         self.side = max(point_window(one, pitch, tol) for one in seen)
@@ -343,16 +347,11 @@ class SampledSpreads:
             truncation_error=lost,
             error_estimate=lost,
         )
-        rest = zip(held_out, found[ny * nx :], strict=True)
-        errors = [_off(field.point_spread(x, y), one.intensity) for (x, y), one in rest]
-        return replace(field, error_estimate=max([lost, *errors]) + worst)
-
-
-def _picture(scene: Scene) -> PlanarObject:
-    """Return the planar hidden object; refuse a mesh."""
-    if not isinstance(scene.hidden, PlanarObject):
-        raise SceneError("scene.hidden is a mesh; point spreads over a field need a PlanarObject")
-    return scene.hidden
+        errors = [lost]
+        for (x, y), one in zip(held_out, found[ny * nx :], strict=True):
+            miss = np.abs(field.point_spread(x, y) - one.intensity).max()
+            errors.append(float(miss / one.intensity.max()))
+        return replace(field, error_estimate=max(errors) + worst)
 
 
 def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
@@ -387,11 +386,6 @@ def picture_point(hidden: PlanarObject, across: float, up: float) -> Array:
     right, upward, _ = hidden.axes
     half = 0.5 * np.array(hidden.size)
     return np.asarray(hidden.position + across * half[0] * right + up * half[1] * upward)
-
-
-def _off(found: Array, exact: Array) -> float:
-    """Return the largest error of a point spread, relative to the peak of the exact one."""
-    return float(np.abs(found - exact).max() / exact.max())
 
 
 def _compressed(spreads: Array, tol: float) -> tuple[Array, Array, float]:

@@ -8,11 +8,12 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import expect, fits_memory, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed
+from ..._vectors import Array
 from ...errors import SceneError
 from ...raytrace import PointTrace, ray_plan, trace_point
 from ...raytrace.light.trace import MOST, MOST_BOUNCES
@@ -27,9 +28,7 @@ from ..rough.view import RoughView
 from ..transform.point_spread import PointSpread
 from ..wave.regime import regime
 from ..window.window import check_rays, middle, shape_of, window_side
-from .scene_psf import mirror_lobes
-
-Array = NDArray[np.float64]
+from .scene_psf import error_of_sum, mirror_lobes
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +164,7 @@ class HybridPointSpread(PointSpread):
     traced_flux_error: float
     flux: float
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("coherent", "halo", "diffuse", "standard_error"):
-            array = np.array(getattr(self, name), dtype=np.float64, order="C")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+    _images = ("intensity", "coherent", "halo", "diffuse", "standard_error")
 
 
 def hybrid_point_spread(
@@ -318,17 +312,19 @@ def _assembled(
     normalisation: str,
 ) -> HybridPointSpread:
     """Combine all parts in the unit of ``normalisation``."""
-    coherent, halo, dark = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    coherent, halo, diffuse, spread = np.zeros((4, *shape))
     for watts, mean in parts:
         where = middle(shape, mean.shape)
         coherent[where] += watts * mean.coherent
         halo[where] += watts * mean.diffuse
     coherent_flux = sum(watts * mean.coherent_fraction for watts, mean in parts)
     halo_flux = sum(watts * (1.0 - mean.coherent_fraction) for watts, mean in parts)
-    diffuse, spread = (dark, dark) if traced is None else (traced.energy, traced.energy_error)
-    diffuse_flux = (0.0, 0.0) if traced is None else (traced.flux, traced.flux_error)
+    diffuse_flux, diffuse_error = 0.0, 0.0
+    if traced is not None:
+        diffuse, spread = traced.energy, traced.energy_error
+        diffuse_flux, diffuse_error = traced.flux, traced.flux_error
     found = (0.0, math.inf) if every is None else (every.flux, every.flux_error)
-    flux = coherent_flux + halo_flux + diffuse_flux[0]
+    flux = coherent_flux + halo_flux + diffuse_flux
     if flux == 0.0:
         raise SceneError(
             "no light from the object point passes the lens; check camera.aim, wall_material and "
@@ -339,17 +335,18 @@ def _assembled(
         raise SceneError(
             "normalisation = 'flux' needs a mirror image, but none reaches the lens; use 'unit-sum'"
         )
-    reasons = ["waves for the mirror image, rays for all other paths"]
+    reason = "no mirror image reaches the lens"
+    if parts:
+        ways = [mean.reason for _, mean in parts]
+        reason = "; ".join(["waves for the mirror image, rays for all other paths", *ways])
     total = coherent + halo + diffuse
-    peaks = [watts * float(mean.intensity.max() / total.max()) for watts, mean in parts]
+    peak = float(total.max())
     return HybridPointSpread(
         intensity=total / unit,
         pitch=pitch,
         method="hybrid",
-        error_estimate=sum(
-            (p * m.error_estimate for p, (_, m) in zip(peaks, parts, strict=True)), 0.0
-        ),
-        model_error=sum((p * m.model_error for p, (_, m) in zip(peaks, parts, strict=True)), 0.0),
+        error_estimate=error_of_sum(parts, "error_estimate", peak),
+        model_error=error_of_sum(parts, "model_error", peak),
         normalisation=normalisation,
         wavelength=mirror.aimed.wave.wavelength,
         f_number=mirror.aimed.wave.f_number,
@@ -361,13 +358,11 @@ def _assembled(
         standard_error=spread / unit,
         coherent_flux=coherent_flux / unit,
         halo_flux=halo_flux / unit,
-        diffuse_flux=diffuse_flux[0] / unit,
-        diffuse_flux_error=diffuse_flux[1] / unit,
+        diffuse_flux=diffuse_flux / unit,
+        diffuse_flux_error=diffuse_error / unit,
         traced_flux=found[0] / unit,
         traced_flux_error=found[1] / unit,
         flux=flux,
         regime=regime(mirror.aimed.residual, pitch),
-        reason="; ".join([*reasons, *(mean.reason for _, mean in parts)])
-        if parts
-        else "no mirror image reaches the lens",
+        reason=reason,
     )

@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import lasting, memory_limit
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._vectors import Array, ComplexArray
 from ...errors import CausticError, SamplingError
 from ...scene import FacetWall
 from ..pupil.scene_optics import PointOptics
@@ -34,9 +34,6 @@ from ..transform.wide_pixels import binned, detilted_wide_spread
 from ..wave.detilted import split
 from ..window.grids import grid_size
 from ..window.window import Window, ray_reach
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 #: Radii, or cells per side, at which a relief's wave is sampled, and the nodes over their square.
 RELIEF_NODES: Final = {"polar": (48, 4), "grid": (1024, 1)}

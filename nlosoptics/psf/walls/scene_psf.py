@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import fits_memory, in_range, one_of
 from ..._nouns import Noun
 from ..._progress import Progress
+from ..._vectors import Array
 from ...errors import SamplingError
 from ...scene import Scene
 from ...scene.parts._material import MirrorLobe
@@ -32,7 +34,6 @@ from ..window.window import Window, check_rays, middle, shape_of, window_side
 from .rough_wall import HELD, Cost, Image, PupilField, WallImage, relief_image, roughness_view
 from .scene_costs import smooth_cost
 
-Array = NDArray[np.float64]
 #: Rms phase s, rad, of the heights that represent a lobe. Its point spread then equals that of the
 #: lobe's slopes up to a relative error of 1/s^2.
 ROUGH: Final = 1e3
@@ -355,20 +356,23 @@ def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
     return side + 2 * math.ceil(max(lobe.halo(tol) for lobe in lobes) / pitch)
 
 
+def error_of_sum(parts: Sequence[tuple[float, PointSpread]], error: str, peak: float) -> float:
+    """Return an error of a sum of (weight, point spread) pairs, relative to its peak."""
+    peaks = [weight * float(part.intensity.max() / peak) for weight, part in parts]
+    return sum((n * getattr(part, error) for n, (_, part) in zip(peaks, parts, strict=True)), 0.0)
+
+
 def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
     """Return the weighted mean of (weight, point spread) pairs on the same pixels."""
     total = sum(share for share, _ in parts)
     intensity = np.sum([share / total * part.intensity for share, part in parts], axis=0)
-    first = parts[0][1]
-    peaks = [share * float(part.intensity.max()) for share, part in parts]
-    peak = total * float(intensity.max())
+    first, peak = parts[0][1], total * float(intensity.max())
     return PointSpread(
         intensity=intensity,
         pitch=first.pitch,
         method=" + ".join(dict.fromkeys(part.method for _, part in parts)),
-        error_estimate=sum(n * p.error_estimate for n, (_, p) in zip(peaks, parts, strict=True))
-        / peak,
-        model_error=sum(n * p.model_error for n, (_, p) in zip(peaks, parts, strict=True)) / peak,
+        error_estimate=error_of_sum(parts, "error_estimate", peak),
+        model_error=error_of_sum(parts, "model_error", peak),
         normalisation=first.normalisation,
         wavelength=first.wavelength,
         f_number=first.f_number,

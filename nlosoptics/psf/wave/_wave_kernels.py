@@ -14,6 +14,9 @@ from ...kernels.compiling import njit
 #: Adding and subtracting it rounds a double below 2^51 to an integer. Without a call to a rounding
 #: function the loop is vectorised.
 WHOLE = 6755399441055744.0
+#: Magnitudes of the terms of the Taylor series of cosine and of sine, the highest degree first.
+COSINE = tuple(1.0 / math.factorial(n) for n in range(22, -1, -2))
+SINE = tuple(1.0 / math.factorial(n) for n in range(21, 0, -2))
 #: Nodes whose phasors are computed at a time; their parts fit into the processor's nearest cache.
 BLOCK = 1024
 
@@ -31,31 +34,13 @@ def phasors(turns, size, real, imaginary):
         strength = size[i] * (1.0 - 2.0 * odd * odd)
         x = 2.0 * math.pi * (turns[i] - 0.5 * halves)
         s = x * x
-        cosine = 1.0 / 1124000727777607680000.0
-        cosine = 1.0 / 2432902008176640000.0 - s * cosine
-        cosine = 1.0 / 6402373705728000.0 - s * cosine
-        cosine = 1.0 / 20922789888000.0 - s * cosine
-        cosine = 1.0 / 87178291200.0 - s * cosine
-        cosine = 1.0 / 479001600.0 - s * cosine
-        cosine = 1.0 / 3628800.0 - s * cosine
-        cosine = 1.0 / 40320.0 - s * cosine
-        cosine = 1.0 / 720.0 - s * cosine
-        cosine = 1.0 / 24.0 - s * cosine
-        cosine = 0.5 - s * cosine
-        cosine = 1.0 - s * cosine
-        sine = 1.0 / 51090942171709440000.0
-        sine = 1.0 / 121645100408832000.0 - s * sine
-        sine = 1.0 / 355687428096000.0 - s * sine
-        sine = 1.0 / 1307674368000.0 - s * sine
-        sine = 1.0 / 6227020800.0 - s * sine
-        sine = 1.0 / 39916800.0 - s * sine
-        sine = 1.0 / 362880.0 - s * sine
-        sine = 1.0 / 5040.0 - s * sine
-        sine = 1.0 / 120.0 - s * sine
-        sine = 1.0 / 6.0 - s * sine
-        sine = x * (1.0 - s * sine)
+        cosine, sine = COSINE[0], SINE[0]
+        for term in COSINE[1:]:
+            cosine = term - s * cosine
+        for term in SINE[1:]:
+            sine = term - s * sine
         real[i] = strength * cosine
-        imaginary[i] = strength * sine
+        imaginary[i] = strength * (x * sine)
 
 
 @njit(cache=True)

@@ -7,15 +7,12 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..._vectors import product
+from ..._vectors import Array, product
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
 from .polar_series import Mesh, PolarSpectrum, _legendre_slopes, analysis, legendre
-
-Array = NDArray[np.float64]
 
 #: Least s at which slopes are taken: at s = 0 a patch may shrink to a point, where the Jacobian
 #: vanishes.
@@ -113,10 +110,9 @@ class CellSpectrum:
 
     def points(self, n_patches: int, n_s: int, n_t: int) -> Mesh:
         """Return the points of `slopes`, with the coordinates s and t of the patches."""
-        (s, w_s), (t, w_t) = gauss_legendre(n_s), gauss_legendre(n_t)
-        s, t = np.concatenate([[NEAREST], s, [1.0]]), np.concatenate([[0.0], t, [1.0]])
+        s, t = _with_edges(n_s, NEAREST), _with_edges(n_t, 0.0)
         u, v = np.moveaxis(self.aperture.map(s, t)[0], -1, 0)
-        return Mesh(u, v, s, t, w_s[:, None], w_t)
+        return Mesh(u, v, s, t, gauss_legendre(n_s)[1][:, None], gauss_legendre(n_t)[1])
 
     def slopes(self, n_patches: int, n_s: int, n_t: int) -> tuple[Array, Array, Array]:
         """Return the gradient on the nodes and on the edges of the patches.
@@ -162,18 +158,21 @@ class _Frame(NamedTuple):
 
 def _frame(aperture: Aperture, n_s: int, n_t: int) -> _Frame:
     """Compute the geometry on nodes and edges, (n_patches, n_s + 2, n_t + 2) each."""
-    (s, w_s), (t, w_t) = gauss_legendre(n_s), gauss_legendre(n_t)
-    s, t = np.concatenate([[NEAREST], s, [1.0]]), np.concatenate([[0.0], t, [1.0]])
-    _, along_s, along_t = aperture.map(s, t)
-    jacobian = cross(along_s, along_t)
+    _, along_s, along_t = aperture.map(_with_edges(n_s, NEAREST), _with_edges(n_t, 0.0))
+    jacobian, weights = cross(along_s, along_t), (gauss_legendre(n)[1] for n in (n_s, n_t))
     share = np.zeros_like(jacobian)
-    share[:, 1:-1, 1:-1] = jacobian[:, 1:-1, 1:-1] * (w_s[:, None] * w_t)
+    share[:, 1:-1, 1:-1] = jacobian[:, 1:-1, 1:-1] * np.multiply.outer(*weights)
     parts = along_t[..., 1], -along_s[..., 1], -along_t[..., 0], along_s[..., 0]
     u_of_s, u_of_t, v_of_s, v_of_t = (frozen(part / jacobian) for part in parts)
     return _Frame(u_of_s, u_of_t, v_of_s, v_of_t, frozen(share))
 
 
 _kept_frame = lru_cache(maxsize=8)(_frame)
+
+
+def _with_edges(count: int, first: float) -> Array:
+    """Return a coordinate of nodes, between that of the first and of the last edge."""
+    return np.concatenate([[first], gauss_legendre(count)[0], [1.0]])
 
 
 def _products(values: Array, first: Array, second: Array) -> Array:
@@ -197,6 +196,6 @@ def _synthesis(n: int, count: int) -> Array:
 @lru_cache(maxsize=64)
 def _edged(n: int, count: int, first: float) -> tuple[Array, Array]:
     """Return the matrices (count + 2, n) to values and to slopes on nodes and both edges."""
-    table = legendre(n, np.concatenate([[first], gauss_legendre(count)[0], [1.0]]))
+    table = legendre(n, _with_edges(count, first))
     slopes = np.ascontiguousarray(_legendre_slopes(table).T)
     return frozen(np.ascontiguousarray(table.T)), frozen(slopes)

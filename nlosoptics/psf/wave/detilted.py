@@ -13,14 +13,13 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...errors import SamplingError
 from .cell_series import CellSpectrum
 from .fits import fitted_terms
 from .polar_series import PolarSpectrum
 from .scattered_fits import LocalFits, local_fits
 from .wavefront import Wavefront
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,32 +372,54 @@ class GridResidual(_Sampled):
 
     @cached_property
     def rays(self) -> Rays:
-        """One ray per sample."""
-        return self._landing(*self._slopes())
+        """One ray per sample.
+
+        Its slopes are central differences, one-sided where one neighbour is dark, 0 where both are.
+        """
+        wave, slopes = self.wavefront, []
+        for axis in (1, 0):
+            total, pairs = np.zeros_like(wave.u), np.zeros_like(wave.u)
+            sides = (np.s_[1:], np.s_[:-1]) if axis == 0 else (np.s_[:, 1:], np.s_[:, :-1])
+            step, both = self._steps(axis)
+            for side in sides:
+                total[side] += step
+                pairs[side] += both
+            slopes.append(total / (np.maximum(pairs, 1.0) * wave.pupil_pitch))
+        return self._landing(slopes[0], slopes[1], wave.amplitude**2 * wave.weights)
+
+    def _steps(self, axis: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the steps between neighbours along an axis, and where they are of the wave.
+
+        Elsewhere they are 0: between a lit sample and a dark one, and between different cells of an
+        aperture, since segments may have any piston.
+        """
+        both = np.diff(self._cells[0], axis=axis) == 0
+        return np.where(both, np.diff(self.aberration, axis=axis), 0.0), both
 
     @cached_property
     def _cells(self) -> tuple[NDArray[np.int64], float]:
-        """Label of the aperture cell of each grid square, and the value of `mixed_area`.
+        """Label of the aperture cell of each lit grid square, and the value of `mixed_area`.
 
-        A square shared by several cells gets a label of its own. Its sample holds the wave of only
-        one of them, so that differences with its neighbours are not slopes.
+        A dark square has a label of its own, and so has one that several cells share: its sample
+        holds the wave of only one of them, so that differences with its neighbours are not slopes.
         """
-        wave = self.wavefront
-        if wave.aperture is None or len(wave.aperture.cells) == 1:
-            return np.zeros(wave.u.shape, dtype=np.int64), 0.0
-        total, most, owners = wave.aperture.grid_shares(wave.u.shape[0], wave.pupil_pitch)
-        shared = total - most
-        labels = np.where(shared > 1e-9, -1 - np.arange(owners.size).reshape(owners.shape), owners)
-        # Largest difference of the pupil function between neighbours in different cells.
-        wide = 0.0
-        phase = np.exp(1j * self.wavenumber * self.aberration)
-        for axis in (0, 1):
-            step = np.abs(np.diff(phase, axis=axis))
-            lit = np.take(total, range(1, len(total)), axis) > 0
-            lit &= np.take(total, range(len(total) - 1), axis) > 0
-            across = lit & (np.diff(owners, axis=axis) != 0)
-            wide = max(wide, float(np.max(step, where=across, initial=0.0)))
-        return labels, wide * float(np.sum(shared) / np.sum(total))
+        wave, whole, mixed = self.wavefront, self.lit, 0.0
+        owners = np.zeros(wave.u.shape, dtype=np.int64)
+        if wave.aperture is not None and len(wave.aperture.cells) > 1:
+            total, most, owners = wave.aperture.grid_shares(wave.u.shape[0], wave.pupil_pitch)
+            shared = total - most
+            whole = whole & (shared <= 1e-9)
+            # Largest difference of the pupil function between neighbours in different cells.
+            wide = 0.0
+            phase = np.exp(1j * self.wavenumber * self.aberration)
+            for axis in (0, 1):
+                step = np.abs(np.diff(phase, axis=axis))
+                inside = np.take(total, range(1, len(total)), axis) > 0
+                inside &= np.take(total, range(len(total) - 1), axis) > 0
+                across = inside & (np.diff(owners, axis=axis) != 0)
+                wide = max(wide, float(np.max(step, where=across, initial=0.0)))
+            mixed = wide * float(np.sum(shared) / np.sum(total))
+        return np.where(whole, owners, -1 - np.arange(owners.size).reshape(owners.shape)), mixed
 
     @property
     def mixed_area(self) -> float:
@@ -410,46 +431,11 @@ class GridResidual(_Sampled):
         return self._cells[1]
 
     def jump(self) -> tuple[float, tuple[int, ...]]:
-        """Return the largest step of the residual between lit neighbours, waves, and its index.
-
-        Steps between different cells of an aperture are not counted: segments may have any piston.
-        """
-        lit, (owners, _) = self.lit, self._cells
-        worst, where = 0.0, (0, 0)
-        for axis in (0, 1):
-            jump = np.abs(np.diff(self.aberration, axis=axis))
-            both = lit[1:] & lit[:-1] if axis == 0 else lit[:, 1:] & lit[:, :-1]
-            both = both & (np.diff(owners, axis=axis) == 0)
-            jump = np.where(both, jump, 0.0)
-            if jump.size and jump.max() > worst:
-                worst = float(jump.max())
-                row, column = np.unravel_index(np.argmax(jump), jump.shape)
-                where = (int(row), int(column))
-        return worst / self.wavefront.wavelength, where
-
-    def _slopes(self) -> tuple[Array, Array, Array]:
-        """Return slopes along u and v on a grid, and the energies of its samples.
-
-        Differences are central, one-sided where one neighbour is dark, 0 where both are dark.
-        """
-        wave = self.wavefront
-        energy = wave.amplitude**2 * wave.weights
-        lit = energy > 0
-        slopes = []
-        for axis in (1, 0):
-            surface = np.moveaxis(self.aberration, axis, 1)
-            mask, owner = np.moveaxis(lit, axis, 1), np.moveaxis(self._cells[0], axis, 1)
-            both = mask[:, 1:] & mask[:, :-1] & (np.diff(owner, axis=1) == 0)
-            step = np.where(both, np.diff(surface, axis=1), 0.0)
-            count = both.astype(np.float64)
-            total, pairs = np.zeros_like(surface), np.zeros_like(surface)
-            total[:, 1:] += step
-            total[:, :-1] += step
-            pairs[:, 1:] += count
-            pairs[:, :-1] += count
-            slope = total / (np.maximum(pairs, 1.0) * wave.pupil_pitch)
-            slopes.append(np.moveaxis(slope, 1, axis))
-        return slopes[0], slopes[1], energy
+        """Return the largest step of the residual between lit neighbours, waves, and its index."""
+        steps = [np.abs(self._steps(axis)[0]) for axis in (0, 1)]
+        largest = max(steps, key=np.max)  # that along the first axis if both are equal
+        row, column = np.unravel_index(np.argmax(largest), largest.shape)
+        return float(largest.max()) / self.wavefront.wavelength, (int(row), int(column))
 
 
 def split(wavefront: Wavefront) -> Residual:

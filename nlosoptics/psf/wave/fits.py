@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ..._vectors import Array
 
 
 def fitted_terms(aberration: Array, weights: Array, terms: Array) -> Array:
@@ -22,11 +21,9 @@ def fitted_terms(aberration: Array, weights: Array, terms: Array) -> Array:
         Terms at the nodes. Of terms that are linearly dependent on the pupil, as on a narrow slit,
         the solution of least norm is returned.
     """
-    flat, weights = terms.reshape(len(terms), -1), weights.ravel()
-    # einsum does not call BLAS, so results are bit-identical for any thread count.
-    moments = np.einsum("ip,jp,p->ij", flat, flat, weights)
+    flat, weights, inverse = _inverse_moments(terms, weights)
     right = np.einsum("ip,p,p->i", flat, weights, aberration.ravel())
-    return np.asarray(np.linalg.pinv(moments, hermitian=True) @ right)
+    return np.asarray(inverse @ right)
 
 
 def projection(terms: Array, weights: Array) -> Array:
@@ -34,7 +31,13 @@ def projection(terms: Array, weights: Array) -> Array:
 
     ``terms`` (n_terms, ...) are given at the nodes, ``weights`` (...) are amplitude times area.
     """
-    flat = terms.reshape(len(terms), -1)
-    moments = np.einsum("ip,jp,p->ij", flat, flat, weights.ravel())
-    inverse = np.linalg.pinv(moments, hermitian=True)
-    return np.asarray(np.einsum("ij,jp,p->ip", inverse, flat, weights.ravel()))
+    flat, weights, inverse = _inverse_moments(terms, weights)
+    return np.asarray(np.einsum("ij,jp,p->ip", inverse, flat, weights))
+
+
+def _inverse_moments(terms: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Return terms (n_terms, nodes), weights (nodes,) and the inverse of the terms' products."""
+    flat, weights = terms.reshape(len(terms), -1), weights.ravel()
+    # einsum does not call BLAS, so results are bit-identical for any thread count.
+    moments = np.einsum("ip,jp,p->ij", flat, flat, weights)
+    return flat, weights, np.asarray(np.linalg.pinv(moments, hermitian=True))

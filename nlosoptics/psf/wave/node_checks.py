@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..._xarray import Labels, variable
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
-
-Array = NDArray[np.float64]
 
 
 def grid_pitch(u: Array) -> float:

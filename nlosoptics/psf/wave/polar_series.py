@@ -14,12 +14,10 @@ from typing import NamedTuple
 
 import ducc0
 import numpy as np
-from numpy.typing import NDArray
+from numpy.polynomial.legendre import legvander
 
-from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from ..._vectors import Array, ComplexArray
+from ..aperture.quadrature_nodes import frozen, gauss_legendre
 
 
 class PolarSpectrum:
@@ -150,9 +148,8 @@ class PolarSpectrum:
         # Drop coefficients at rounding level: slopes of high-degree polynomials amplify them.
         n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(self._sizes.max())))
         ring = ring_of(n_r, n_theta, self.obscuration)
-        tables = _kept_tables(n_k, n_r) if n_r <= KEPT else legendre_tables(n_k, ring.fraction)
         coefficients = self.coefficients[:n_k, :n_m]
-        value, per_r = (_product(table.T, coefficients) for table in tables)
+        value, per_r = (_product(table.T, coefficients) for table in _rim_tables(n_k, n_r))
         per_r *= ring.bend
         per_r[:, 1::2] = ring.rho * per_r[:, 1::2] + value[:, 1::2]
         value[:, ::2] /= ring.rho
@@ -160,7 +157,7 @@ class PolarSpectrum:
         d_r, d_theta = self._synthesis(np.stack([per_r, value]) / self.radius, n_theta)
         du = ring.cosine * d_r - ring.sine * d_theta
         dv = ring.sine * d_r + ring.cosine * d_theta
-        return du, dv, ring.share
+        return du, dv, np.repeat(ring.share, n_theta, axis=1)
 
     def points(self, n_r: int, n_theta: int) -> Mesh:
         """Return the points of `slopes`, with the radius, m, and the angle as coordinates."""
@@ -169,24 +166,6 @@ class PolarSpectrum:
         r, turn = self.radius * ring.rho, 2 * math.pi / n_theta
         along_r, angle = np.diff(edges)[:, None], turn * np.arange(n_theta, dtype=np.float64)
         return Mesh(r * ring.cosine, r * ring.sine, r[:, 0], angle, along_r, np.array(turn))
-
-    def at(self, u: Array, v: Array, epsilon: float) -> Array:
-        """Return the function at any points.
-
-        Parameters
-        ----------
-        u, v : ndarray
-            Coordinates of the points, m, of the same shape. Outside the pupil the function is
-            extrapolated linearly along the radius.
-        epsilon : float
-            Largest error relative to the largest value, 1e-13 or more.
-
-        Returns
-        -------
-        ndarray
-            Values in the shape of u, in the unit of the samples.
-        """
-        return values_at(self, None, u, v, epsilon)[0]
 
     @cached_property
     def disc_series(self) -> ComplexArray:
@@ -361,19 +340,16 @@ class Ring(NamedTuple):
 
     Attributes
     ----------
-    fraction : ndarray, (n_r + 1,)
-        Legendre coordinate, 0 at the inner and 1 at the outer rim.
     rho : ndarray, (n_r + 1, 1)
         Radius over pupil radius.
     bend : ndarray, (n_r + 1, 1)
-        Derivative of ``fraction`` with respect to ``rho``.
+        Derivative of the Legendre coordinate with respect to ``rho``.
     cosine, sine : ndarray, (n_theta,)
         Of the angles.
-    share : ndarray, (n_r + 1, n_theta)
-        Fraction of the pupil's area, sum 1; 0 on the rim.
+    share : ndarray, (n_r + 1, 1)
+        Fraction of the pupil's area at each point of a ring; 0 on the rim.
     """
 
-    fraction: Array
     rho: Array
     bend: Array
     cosine: Array
@@ -381,27 +357,19 @@ class Ring(NamedTuple):
     share: Array
 
 
-def _ring(n_r: int, n_theta: int, obscuration: float) -> Ring:
-    """Compute the geometry of polar nodes and the rim."""
+@lru_cache(maxsize=16)
+def ring_of(n_r: int, n_theta: int, obscuration: float) -> Ring:
+    """Return the geometry of polar nodes and the rim, cached and read-only."""
     fraction, weights = gauss_legendre(n_r)
-    fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
-    rho = rho_of(fraction, obscuration)[:, None]
+    rho = rho_of(np.append(fraction, 1.0), obscuration)[:, None]
     angle = 2 * math.pi * np.arange(n_theta) / n_theta
-    share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
-    parts = fraction, rho, 2 * rho / (1 - obscuration**2), np.cos(angle), np.sin(angle), share
+    share = np.append(weights, 0.0)[:, None] / n_theta
+    parts = rho, 2 * rho / (1 - obscuration**2), np.cos(angle), np.sin(angle), share
     return Ring(*map(frozen, parts))
 
 
-_kept_ring = lru_cache(maxsize=16)(_ring)
-
-
-def ring_of(n_r: int, n_theta: int, obscuration: float) -> Ring:
-    """Return the geometry of polar nodes and the rim, cached up to `KEPT` nodes."""
-    return (_kept_ring if n_r * n_theta <= KEPT else _ring)(n_r, n_theta, obscuration)
-
-
 @lru_cache(maxsize=32)
-def _kept_tables(n: int, n_r: int) -> tuple[Array, Array]:
+def _rim_tables(n: int, n_r: int) -> tuple[Array, Array]:
     """Legendre tables at ``n_r`` nodes and the rim, cached and read-only."""
     table, slopes = legendre_tables(n, np.append(gauss_legendre(n_r)[0], 1.0))
     return frozen(table), frozen(slopes)
@@ -415,13 +383,7 @@ def legendre_tables(n: int, fraction: Array) -> tuple[Array, Array]:
 
 def legendre(n: int, fraction: Array) -> Array:
     """Legendre polynomials P_k(2 f - 1) for k < n, (n, len(f))."""
-    x = 2 * fraction - 1
-    table = np.ones((n, x.size))
-    if n > 1:
-        table[1] = x
-    for k in range(1, n - 1):
-        table[k + 1] = ((2 * k + 1) * x * table[k] - k * table[k - 1]) / (k + 1)
-    return table
+    return np.asarray(legvander(2 * fraction - 1, n - 1).T)
 
 
 def _legendre_slopes(table: Array) -> Array:

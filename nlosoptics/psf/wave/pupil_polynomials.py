@@ -6,14 +6,12 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..aperture.quadrature_nodes import frozen, polar_nodes
 from .fits import projection
 from .polar_series import PolarSpectrum
 from .zernikes import zernike, zernike_order
-
-Array = NDArray[np.float64]
 
 
 def polynomial_of(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import counted, mapping, numbers, one_of, real, whole
+from ..._vectors import Array
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
@@ -18,20 +19,15 @@ from .cell_series import spectrum
 from .node_checks import check_aperture
 from .zernikes import Ordering, kept_zernikes, zernike_order, zernike_sum
 
-Array = NDArray[np.float64]
 Nodes = Literal["polar", "cells", "grid"]
 #: W(u, v), m, or A(u, v), of arrays of u and v, m.
 PupilFunction = Callable[[Array, Array], ArrayLike]
 
-#: Default number of grid cells per side.
-GRID_SAMPLES: Final = 512
 #: Nodes per side of a patch, tried in this order until they resolve the wave. The first does not
 #: resolve a tilt on an arc of 90 degrees and is left out on curved outlines.
 SIDES: Final = (8, 12, 16, 24, 32, 48, 64)
 #: Largest total number of nodes that a trial after the first may use.
 MOST_NODES: Final = 1_000_000
-#: Numbers of radii on polar nodes, tried in this order, with four times as many angles.
-RADII: Final = (24, 48, 96, 192)
 #: Truncation error of the phase, rad, and of the amplitude, below which trials end.
 NEGLIGIBLE: Final = 1e-11
 
@@ -244,9 +240,9 @@ class Sampling:
         if self.samples is not None:
             return [self.samples]
         if self.layout == "grid":
-            return [GRID_SAMPLES]
+            return [512]  # cells per side
         if self.outline is None:
-            return [*RADII]
+            return [24, 48, 96, 192]  # radii, with four times as many angles
         n = len(self.outline.owners)
         sides = SIDES[1:] if any(side.turn.any() for side in self.outline.patches) else SIDES
         return [sides[0], *(side for side in sides[1:] if n * side**2 <= MOST_NODES)]

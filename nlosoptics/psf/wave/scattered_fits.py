@@ -8,12 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ...errors import SamplingError
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import polar_nodes
 from .wavefront import Wavefront
-
-Array = NDArray[np.float64]
 
 #: Radius, in disc radii, of a ring of auxiliary points that closes the outermost Voronoi cells.
 FAR: Final = 12.0
@@ -125,8 +124,6 @@ class LocalFits:
         Coefficients of `terms` for the amplitude.
     scale : ndarray, (n,)
         Distance to the farthest node of each fit, m.
-    misfit : ndarray, (n,)
-        Weighted rms residual of each fit to the aberration, m.
     jump : float
         Largest difference of the aberration between neighbouring nodes, m.
     jump_at : int
@@ -138,7 +135,6 @@ class LocalFits:
     aberration: Array
     amplitude: Array
     scale: Array
-    misfit: Array
     jump: float
     jump_at: int
 
@@ -209,7 +205,7 @@ def local_fits(wave: Wavefront, aberration: Array) -> LocalFits:
     places = np.stack([wave.u.ravel()[indices], wave.v.ravel()[indices]], axis=1)
     values = np.stack([aberration.ravel()[indices], wave.amplitude.ravel()[indices]])
     n = len(indices)
-    series, misfit = np.zeros((2, 10, n)), np.zeros(n)
+    series = np.zeros((2, 10, n))
     series[:, 0] = values
     scale = np.full(n, wave.pupil_radius)
     rise = np.zeros(n)
@@ -223,7 +219,7 @@ def local_fits(wave: Wavefront, aberration: Array) -> LocalFits:
             scale[block] = np.maximum(distance[:, -1], 1e-12 * wave.pupil_radius)
             step = (places[near] - places[block, None]) / scale[block, None, None]
             change = values[:, near] - values[:, block, None]
-            series[:, 1:, block], misfit[block], volume = _solved(step, change)
+            series[:, 1:, block], volume = _solved(step, change)
             rise[block] = np.maximum(rise[block], np.abs(change[0, :, :CLOSE]).max(axis=1))
             again.append(block[volume < IN_LINES])
         left = np.concatenate(again) if again else left
@@ -238,7 +234,6 @@ def local_fits(wave: Wavefront, aberration: Array) -> LocalFits:
         series[0],
         series[1],
         scale,
-        misfit,
         float(rise.max()),
         int(np.argmax(rise)),
     )
@@ -252,12 +247,12 @@ def _nearest(places: Array, points: Array, count: int) -> tuple[Array, Indices]:
     return np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
 
 
-def _solved(step: Array, rise: Array) -> tuple[Array, Array, Array]:
+def _solved(step: Array, rise: Array) -> tuple[Array, Array]:
     """Fit cubics without constant term to the changes of two functions about b nodes.
 
     ``step`` (b, k, 2) are the scaled distances to k other nodes and ``rise`` (2, b, k) the changes.
-    Returns the coefficients (2, 9, b), the weighted rms residual of the first function (b,), and
-    the log determinant of the terms' correlations (b,), see `IN_LINES`.
+    Returns the coefficients (2, 9, b), and the log determinant of the terms' correlations (b,),
+    see `IN_LINES`.
     """
     basis = np.moveaxis(terms(step[..., 0], step[..., 1])[1:], 0, 2)
     weight = np.maximum(1.1 - np.sum(step**2, axis=2), 0.0) ** 2
@@ -269,6 +264,4 @@ def _solved(step: Array, rise: Array) -> tuple[Array, Array, Array]:
     trace = np.einsum("btt->b", moments) / 9
     moments[:, np.arange(9), np.arange(9)] += RIDGE * trace[:, None]
     found = np.linalg.solve(moments, right)
-    rest = rise[0] - np.einsum("bkt,bt->bk", basis, found[..., 0])
-    rms = np.sqrt(np.sum(weight * rest**2, axis=1) / np.sum(weight, axis=1))
-    return np.moveaxis(found, (2, 1), (0, 1)), rms, np.asarray(volume)
+    return np.moveaxis(found, (2, 1), (0, 1)), np.asarray(volume)

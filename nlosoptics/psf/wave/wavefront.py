@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import in_range, one_of, positive, real, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
+from ..._vectors import Array
 from ..._xarray import Labelled
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
@@ -39,7 +41,6 @@ from .sampling import (
 )
 from .zernikes import ORDERINGS, Ordering
 
-Array = NDArray[np.float64]
 Layout = Literal["polar", "cells", "grid", "scattered"]
 LAYOUTS = ("polar", "cells", "grid", "scattered")
 
@@ -138,12 +139,13 @@ class Wavefront(Noun, Shown, Labelled):
         check_nodes(self.layout, self.u, self.v, self.pupil_radius, self.obscuration, self.aperture)
 
     def _figures(self) -> Figures:
-        plane = np.stack([np.ones_like(self.u), self.u, self.v])
-        rest = self.aberration - np.tensordot(
-            fitted_terms(self.aberration, self.amplitude * self.weights, plane), plane, 1
+        plane, weights = (
+            np.stack([np.ones_like(self.u), self.u, self.v]),
+            self.amplitude * self.weights,
         )
-        weights = self.amplitude * self.weights
-        rms = float(np.sqrt(np.sum(weights * rest**2) / np.sum(weights)))
+        fit = fitted_terms(self.aberration, weights, plane)
+        rest = self.aberration - np.tensordot(fit, plane, 1)
+        rms = math.sqrt(np.sum(weights * rest**2) / np.sum(weights))
         waves = f"{rms / self.wavelength:.3g} waves rms"
         figures = {
             "aberration": f"{waves}, {1e9 * rms:.3g} nm, without tilt",
@@ -529,10 +531,7 @@ class Wavefront(Noun, Shown, Labelled):
         The estimate is the sum (layout "polar") or four times the rms (layout "cells") of the
         highest terms of the polynomial series through the samples.
         """
-        return (
-            self.series(self.aberration).truncation(),
-            self.series(self.amplitude).truncation(),
-        )
+        return self.series(self.aberration).truncation(), self.series(self.amplitude).truncation()
 
     def _require_spectral(self, what: str) -> None:
         if not self.is_spectral:

@@ -8,15 +8,15 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..._checks import numbers, one_of, real, whole
+from ..._vectors import Array
 from ...errors import SceneError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import pupil_points
 from ..aperture.quadrature_nodes import frozen
 
-Array = NDArray[np.float64]
 Ordering = Literal["noll", "osa", "fringe"]
 ORDERINGS = ("noll", "osa", "fringe")
 
@@ -84,17 +84,14 @@ def radial(n: int, m: int, rho: ArrayLike) -> Array:
     rho = numbers("rho", rho)
     m = abs(m)
     x = 2 * rho**2 - 1
-    before, now = np.zeros_like(x), np.ones_like(x)
-    for k in range(1, (n - m) // 2 + 1):
+    terms = [np.ones_like(x), ((m + 2) * x - m) / 2]
+    for k in range(2, (n - m) // 2 + 1):
         # Abramowitz & Stegun 22.7.1 with alpha = 0, beta = m.
         s = 2 * k + m
-        scale = 2 * k * (k + m) * max(s - 2, 1)
         linear = (s - 1) * (s * (s - 2) * x - m**2)
-        if s == 2:  # k = 1, m = 0: the recurrence would be 0/0, and P_1 = x
-            before, now = now, x * now
-            continue
-        before, now = now, (linear * now - 2 * (k - 1) * (k + m - 1) * s * before) / scale
-    return np.asarray(rho**m * now)
+        rest = 2 * (k - 1) * (k + m - 1) * s * terms[-2]
+        terms.append((linear * terms[-1] - rest) / (2 * k * (k + m) * (s - 2)))
+    return np.asarray(rho**m * terms[(n - m) // 2])
 
 
 def zernike(index: int, rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering = "noll") -> Array:

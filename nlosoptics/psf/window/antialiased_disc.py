@@ -12,12 +12,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
+from numpy.polynomial import Chebyshev
 
+from ..._vectors import Array
 from ..aperture.quadrature_nodes import gauss_legendre
-
-Array = NDArray[np.float64]
 
 #: Width of the step in units of P. At distance s the spectrum is 1 for s < 0.2 P and 0 for
 #: s > 0.8 P, to 1e-7.
@@ -60,19 +58,14 @@ class SoftDisc:
         self.radius = radius
         self.low, self.high = max(radius - reach, 0.0), radius + reach
         # The profile has no frequency above 1 per cell, so three nodes per cell resolve it.
-        n = math.ceil(3 * (self.high - self.low)) + 20
-        angles = math.pi * (np.arange(n) + 0.5) / n
-        middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
-        profile = _hankel(middle + half * np.cos(angles), radius)
-        self.series = 2 / n * (np.cos(np.outer(np.arange(n), angles)) @ profile)
-        self.series[0] /= 2
+        degree, span = math.ceil(3 * (self.high - self.low)) + 19, [self.low, self.high]
+        self.rim = Chebyshev.interpolate(lambda r: _hankel(r, radius), degree, span)
 
     def __call__(self, r: Array) -> Array:
         """Return the values at radii ``r``, in cells."""
         value = np.where(r < self.radius, 1.0, 0.0)
         near = (r >= self.low) & (r < self.high)
-        place = (2 * r[near] - self.low - self.high) / (self.high - self.low)
-        value[near] = chebyshev.chebval(place, self.series)
+        value[near] = self.rim(r[near])
         return value
 
 

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..wave.detilted import Residual
 from . import antialiased_disc, rim_tails
 from .grids import PupilGrid
-
-Array = NDArray[np.float64]
 
 #: Rounding error of any of the transforms, relative to max I.
 ROUNDING = 1e-13

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import Array, ComplexArray
 from ..wave.detilted import Residual
 from ..wave.polar_series import values_at
 from . import antialiased_disc
 from .pixels import PixelRule
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 #: A function that transforms the last axis of (rows, n) to (rows, m).
 Pass = Callable[[ComplexArray], ComplexArray]
 
@@ -130,10 +128,8 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
     n = grid_size(wave.pupil_radius, pitch)
     fits_memory(f"a pupil grid of {n} x {n} samples", 20.0 * n * n, "use a smaller shape")
     axis = np.arange(n, dtype=np.float64) - n // 2
-    discs = [antialiased_disc.SoftDisc(wave.pupil_radius / pitch)]
-    if wave.obscuration > 0:
-        discs.append(antialiased_disc.SoftDisc(wave.obscuration * wave.pupil_radius / pitch))
-    flat = not np.any(residual.aberration)
+    edges = (1.0, wave.obscuration) if wave.obscuration > 0 else (1.0,)
+    discs = [antialiased_disc.SoftDisc(edge * wave.pupil_radius / pitch) for edge in edges]
     largest = residual.wavenumber * float(np.abs(residual.aberration).max())
     # Relative accuracy of the aberration that gives the phase to 1e-8 rad.
     epsilon = float(np.clip(1e-8 / max(largest, 1.0), 1e-13, 1e-8))
@@ -149,7 +145,7 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
         if not rows.size:
             continue  # rows outside the disc; the transform does not accept empty input
         part = size[rows, columns]
-        if flat and amplitude is None:
+        if residual.is_flat:
             pupil = part.astype(np.complex128)
         else:
             u, v = axis[columns] * pitch, y[rows, 0] * pitch

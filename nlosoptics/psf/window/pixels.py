@@ -12,13 +12,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import Array
 from ..aperture.quadrature_nodes import gauss_legendre
 from .window import Window
-
-Array = NDArray[np.float64]
 
 #: Kaiser parameter; the filter's error is about exp(-24) = 4e-11.
 BETA = 24.0

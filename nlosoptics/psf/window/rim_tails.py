@@ -3,32 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._vectors import Array
 from ..aperture.aperture import Aperture
-from ..aperture.curves import Curve, cross, lengths
+from ..aperture.curves import cross, lengths
 from ..wave.wavefront import Wavefront
-
-Array = NDArray[np.float64]
 
 #: Largest contribution of an arc with radius of curvature rho, in units of sqrt(rho/f).
 ARC = 1.2
-
-
-@dataclass(frozen=True, eq=False)
-class _Edges:
-    """Straight edges of a rim, one row for each direction and length.
-
-    Arrays hold unit vectors (n, 2), lengths (n,), m, and numbers of such edges (n,).
-    """
-
-    direction: Array
-    length: Array
-    number: Array
 
 
 def edge_ratio(wave: Wavefront, outline: Aperture | None = None) -> float:
@@ -54,9 +39,7 @@ def tail(aperture: Aperture, x: Array, y: Array) -> Array:
     f = np.maximum(f, 1e-3 / aperture.bounding_radius)  # avoids 0; the bound is 1 below this
     edges, arcs = _split(aperture)
     total = np.zeros(np.broadcast(x, y).shape)
-    for (along_u, along_v), length, number in zip(
-        edges.direction, edges.length, edges.number, strict=True
-    ):
+    for along_u, along_v, length, number in edges:
         along = np.maximum(math.pi * np.abs(x * along_u + y * along_v), 1 / length)
         total += number / along
     for length, rho in arcs:
@@ -74,7 +57,7 @@ def reach(aperture: Aperture, scale: float, pitch: float, share: float) -> float
     """
     edges, _ = _split(aperture)
     farthest = 0.0
-    for length, number in zip(edges.length, edges.number, strict=True):
+    for _, _, length, number in edges:
         covered = pitch * min(pitch, 2 * scale / length)
         square = (length * number) ** 2 * covered / (4 * math.pi**2 * aperture.area * share)
         farthest = max(farthest, math.sqrt(square))
@@ -82,10 +65,11 @@ def reach(aperture: Aperture, scale: float, pitch: float, share: float) -> float
 
 
 @lru_cache(maxsize=8)
-def _split(aperture: Aperture) -> tuple[_Edges, list[tuple[float, float]]]:
-    """Divide a pupil's rims into straight edges, grouped by direction, and arcs.
+def _split(aperture: Aperture) -> tuple[Array, Array]:
+    """Divide a pupil's rims into straight edges, grouped by direction and length, and arcs.
 
-    For each arc, its length and its largest radius of curvature are returned, m.
+    Each row of edges (n, 4) has the components of a unit vector, the length, m, and the number of
+    such edges; each row of arcs (m, 2) has the length and the largest radius of curvature, m.
     """
     rims, size = aperture.rims, lengths(aperture.rims)
     bent = rims.turn != 0
@@ -98,19 +82,9 @@ def _split(aperture: Aperture) -> tuple[_Edges, list[tuple[float, float]]]:
         key = (a, b, round(1e6 * length / aperture.bounding_radius))
         found[key] = found.get(key, 0) + 1
     keys = np.array(list(found), dtype=np.float64).reshape(-1, 3) / 1e6
-    edges = _Edges(
-        keys[:, :2],
-        np.maximum(keys[:, 2], 1e-6) * aperture.bounding_radius,
-        np.array(list(found.values()), dtype=np.float64),
-    )
-    arcs = [
-        (float(n), rho) for n, rho in zip(size[bent], _curvature_radii(rims, bent), strict=True)
-    ]
-    return edges, arcs
-
-
-def _curvature_radii(rims: Curve, bent: NDArray[np.bool_]) -> list[float]:
-    """Largest radius of curvature ``|r'|^3/|r' x r''|`` of each arc, m."""
+    keys[:, 2] = np.maximum(keys[:, 2], 1e-6) * aperture.bounding_radius
+    edges = np.column_stack([keys, list(found.values())])
+    # largest radius of curvature, |r'|^3/|r' x r''|
     rate = np.hypot(*np.moveaxis(rims.rate(np.linspace(0, 1, 33)), -1, 0))[bent].max(axis=1)
     bend = np.abs(rims.turn[bent]) ** 3 * np.abs(cross(rims.cosine, rims.sine))[bent]
-    return [float(r) for r in rate**3 / bend]
+    return edges, np.column_stack([size[bent], rate**3 / bend])

@@ -6,16 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import expect, in_range, is_single, shown, whole
+from ..._vectors import Array
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
 from ..wave.detilted import Residual, split
 from ..wave.wavefront import Wavefront
 from . import rim_tails
-
-Array = NDArray[np.float64]
 
 #: Fraction of the ray energy that may fall outside a window.
 LOST_RAYS = 0.01
@@ -119,11 +117,11 @@ def check_rays(residual: Residual, pitch: float, shape: tuple[int, int], remedy:
 
     ``remedy`` is added to the message.
     """
-    if holds_rays(residual, pitch, shape):
+    lost = _lost_rays(residual, pitch, shape)
+    if lost <= LOST_RAYS:
         return
     ny, nx = shape
-    x, y = (a + b for a, b in zip((residual.rays.x, residual.rays.y), residual.shift, strict=True))
-    lost = _lost_rays(residual, pitch, shape)
+    x, y = residual.rays.x + residual.shift[0], residual.rays.y + residual.shift[1]
     need = 2 * math.ceil(max(np.abs(x).max(), np.abs(y).max()) / pitch) + 1
     raise SamplingError(
         f"the geometric spot reaches x = {_widest(x):.3g} m, y = {_widest(y):.3g} m and a "

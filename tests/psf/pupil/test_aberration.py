@@ -12,6 +12,7 @@ from scipy.optimize import minimize_scalar
 from nlosoptics import psf
 from nlosoptics.errors import CausticError, NotWaveGradeError, SceneError
 from nlosoptics.scene import (
+    CallableWall,
     ConcaveWall,
     ConvexWall,
     FlatWall,
@@ -194,6 +195,22 @@ def test_a_coarse_mesh_is_refused_as_not_wave_grade(flat_scene):
 def test_a_sphere_near_its_caustic_is_refused():
     with pytest.raises(CausticError, match="flatter wall"):
         psf.wall_aberration(ConcaveWall(1.0), OBJECT, PUPIL, AIM, disc())
+
+
+BOWL = CallableWall(
+    lambda x, y: (x**2 + y**2) / 2,
+    lambda x, y: (x, y),
+    hessian=lambda x, y: (1 + 0 * x, 0 * x, 1 + 0 * y),
+    max_height=1.0,
+    max_curvature=1.0,
+)
+
+
+@pytest.mark.parametrize("wall", [ConcaveWall(1.0), BOWL])
+def test_a_pupil_at_the_centre_of_curvature_is_refused(wall):
+    """All rays return to it, so that their spreading is infinite."""
+    with pytest.raises(CausticError, match="rays to the pupil cross on a caustic"):
+        psf.wall_aberration(wall, (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), AIM, [[0.0, 0.0]])
 
 
 def test_several_images_are_refused():
