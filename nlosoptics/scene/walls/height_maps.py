@@ -268,7 +268,7 @@ def _read(path: SourceFile) -> Array:
         raise SceneError(f"wall.heights: there is no file {path}; give the path of an .npy file")
     file = io.BytesIO(path.content)
     try:
-        return np.load(file, allow_pickle=False).astype(np.float64, casting="same_kind", copy=False)
+        return np.asarray(np.load(file, allow_pickle=False).astype(float, casting="same_kind"))
     except Exception as error:  # numpy lets through what its parser of headers raises
         raise SceneError(
             f"wall.heights: {path} holds no array of numbers ({reason(error)}); "
