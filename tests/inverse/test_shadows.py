@@ -176,6 +176,7 @@ def test_height_of_a_disc():
     The coarse operator errs by 1 cm, and the finer one decides.
     """
     image, scale = wall(2e4)
+    shares = []
     fit = inverse.occluder_fit(
         image,
         lambda height: scale * operator((0.0, 0.0, 0.01 + float(height[0]))),
@@ -183,8 +184,12 @@ def test_height_of_a_disc():
         start=[0.04],
         reach=0.04,
         cells=(CELLS, CELLS),
+        progress=lambda text, share: shares.append(share),
     )
     estimates = fit.physical_parameters
+    assert len(shares) == estimates["evaluations"]
+    assert shares == sorted(shares)
+    assert 0.0 < shares[-1] <= 1.0
     assert abs(estimates["place"][0]) < 0.004
     assert abs(estimates["place"][0]) < 5.0 * estimates["place_covariance"][0, 0] ** 0.5 + 0.002
     assert correlation(fit) > 0.9

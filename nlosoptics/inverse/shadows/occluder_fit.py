@@ -13,6 +13,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import positive, whole
+from ..._progress import Progress
 from ...errors import SceneError
 from ..data.arrays import real_array
 from ..data.reconstruction import Reconstruction
@@ -44,6 +45,7 @@ def occluder_fit(
     max_evaluations: int = 200,
     max_iterations: int = 1000,
     tolerance: float = 1e-3,
+    progress: Progress | None = None,
 ) -> Reconstruction:
     """Find the place of an occluder of known shape on its own shadows, and reconstruct the object.
 
@@ -67,6 +69,9 @@ def occluder_fit(
         twice this distance along each value.
     max_evaluations : int
         Maximum number of operators that each search computes.
+    progress : callable(str, float), optional
+        Called at each place with a line of text and the fraction, 0 to 1, of the largest number of
+        places; searches mostly end after a small part of it.
 
     Returns
     -------
@@ -146,12 +151,13 @@ def occluder_fit(
 
     model = operator_at
     data = wall_image(image, operator(first).pixels, noise, reference, ambient)
-    evaluations, orders = 0, set[int]()
+    evaluations, orders, tell = 0, set[int](), progress or (lambda text, share: None)
 
     def picture(steps: Array) -> tuple[float, float, Array]:
         """Return both log evidences of a place, and the linear estimate of the object there."""
         nonlocal evaluations
         evaluations += 1
+        tell(f"place {evaluations}", min(1.0, evaluations / (len(around) + 5 * most)))
         known = operator(first + reach * steps)
         linear = evidence(data, known.matrix, known.cells)
         orders.add(linear.order)
@@ -175,9 +181,8 @@ def occluder_fit(
         end.fun = cost_of_lit(end.x)
         return end
 
-    around = np.vstack([np.zeros(len(first)), np.eye(len(first)), -np.eye(len(first))])
-    between = scipy.stats.qmc.Halton(len(first), scramble=False).random(8 * len(first) + 1)[1:]
-    around = np.vstack([around, 2.0 * between - 1.0])
+    eye, halton = np.eye(len(first)), scipy.stats.qmc.Halton(len(first), scramble=False)
+    around = np.vstack([0.0 * first, eye, -eye, 2.0 * halton.random(8 * len(first) + 1)[1:] - 1.0])
     nearest = np.argsort([cost_of_lit(steps) for steps in around], kind="stable")
     data = replace(data, orders=sorted(orders))
     ends = _distinct([searched(cost_of_lit, steps, 0.5) for steps in around[nearest[:3]]])
@@ -187,11 +192,9 @@ def occluder_fit(
         data = replace(data, orders=sorted(orders))
     data, _ = settled(data, operator(first + reach * ends[0].x))
     ends = _distinct([searched(cost, end.x, 0.2) for end in ends[:2]])
-    final = ends[0]
-    best, curvature = _least(cost, np.array(final.x))
+    best, curvature = _least(cost, np.array(ends[0].x))
     falls, vectors = np.linalg.eigh(curvature)
-    reasons = []
-    covariance = np.full(curvature.shape, math.inf)
+    reasons, covariance = list[str](), np.full(curvature.shape, math.inf)
     if falls[0] <= 1.0 or (abs(best) > 1.98).any():
         reasons.append("the evidence has no maximum within reach; start elsewhere or enlarge reach")
     else:
@@ -214,7 +217,7 @@ def occluder_fit(
                 f"{LIMITS.correlation:g}; expose longer, or measure the place"
             )
         for other in ends[1:]:
-            margin = float(other.fun) - min(float(final.fun), -log_of_lit)
+            margin = float(other.fun) - min(float(ends[0].fun), -log_of_lit)
             apart = other.x - best
             if margin < LIMITS.detection and apart @ curvature @ apart > LIMITS.errors**2:
                 reasons.append(
@@ -224,7 +227,7 @@ def occluder_fit(
                 )
     place = first + reach * best
     more = [("ambiguous", sentence) for sentence in reasons]
-    if final.nfev >= most:
+    if ends[0].nfev >= most:
         more.append(("unconverged", f"the search ended after {most} places; raise max_evaluations"))
     return fitted(
         data,
