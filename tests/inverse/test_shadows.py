@@ -133,6 +133,15 @@ def test_more_light_is_no_remedy_for_a_wrong_place(shift):
         assert fit.status == "does_not_fit"
 
 
+def test_more_light_is_the_remedy_for_few_photons():
+    """The object is smoother than its linear estimate then, which is no contradiction."""
+    for seed in (0, 1, 7):
+        image, scale = wall(60.0, 3.0, seed=seed)
+        fit = inverse.shadow_fit(image, scale * operator(), cells=(CELLS, CELLS))
+        assert fit.physical_parameters["disagreement"] > 0.3
+        assert fit.status == "too_few_photons", fit.reasons
+
+
 def test_other_structure_than_shadows_does_not_fit():
     """A pattern of 2 %, such as wallpaper, ten times the noise: no object is detected."""
     wave = np.linspace(-6.0, 6.0, PIXELS)

@@ -138,12 +138,12 @@ def shadow_fit(
     the noise. No value is chosen by hand, nor by the truth.
 
     The status is "does_not_fit" if the object leaves more than 0.5 % of the power beyond noise and
-    ambient light, or if the residual would add more than 10 %, and more than noise does, to the
-    power of the linear estimate, which may be negative. Without a detected object, only structure
-    wider than pixels counts, since the noise may be wrong. Otherwise the status is
-    "too_few_photons" without a detected object, whose values are then 0, and for an expected
-    correlation below 0.8. An object that is shifted together with the occluder has nearly the same
-    shadows, and is not recognised.
+    ambient light. Without a detected object, only structure wider than pixels counts, since the
+    noise may be wrong. Otherwise the status is "too_few_photons" without a detected object, whose
+    values are then 0, and for an expected correlation below 0.8. For an object that is known
+    better, it is "does_not_fit" too if the residual would add more than 10 %, and more than noise
+    does, to the power of the linear estimate, which may be negative. An object that is shifted
+    together with the occluder has nearly the same shadows, and is not recognised.
 
     "converged" speaks of the object at the resolution of its modes. The expected correlation is
     that of objects with the spectrum 1/f^2. No image tells how much of an object is finer than the
@@ -249,13 +249,6 @@ def fitted(
             f"{LIMITS.misfit:g}; check the occluder's place (occluder_fit) and the ambient light",
         ),
         (
-            detected and disagreement > max(LIMITS.disagreement, LIMITS.errors * error / power),
-            "does_not_fit",
-            f"the residual beyond the noise adds {disagreement:.2g} of its power to the linear "
-            f"estimate, limit {LIMITS.disagreement:g}: no object without negative values explains "
-            "the image; check the occluder's place and shape",
-        ),
-        (
             not detected,
             "too_few_photons",
             f"no object is detected: it raises the log evidence by {linear.gain:.1f}, limit "
@@ -266,6 +259,13 @@ def fitted(
             "too_few_photons",
             f"the expected correlation is {linear.correlation:.2f}, limit "
             f"{LIMITS.correlation:g}; expose longer, or use a larger part of the wall",
+        ),
+        (
+            detected and disagreement > max(LIMITS.disagreement, LIMITS.errors * error / power),
+            "does_not_fit",
+            f"the residual beyond the noise adds {disagreement:.2g} of its power to the linear "
+            f"estimate, limit {LIMITS.disagreement:g}: no object without negative values explains "
+            "the image; check the occluder's place and shape",
         ),
     )
     failed = [test[1:] for test in tests if test[0]] + list(reasons)
