@@ -254,7 +254,8 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     Signal and noise are computed as in `imaging.form_image`. To save time, pixels are first binned
     to at most 64 along the longer side, but to no fewer than 3 across a bright stroke of the
     object. The modulation transfer function is that at the centre of a planar object or the
-    centroid of a mesh.
+    centroid of a mesh. Of an object that the wall shows in part, which `simulate` refuses, the
+    report describes that part.
 
     The field ``modes`` of the report is the number of independent patterns of the object that the
     light shows above the noise. Patterns are counted in two ways. In the image formed by the
