@@ -241,13 +241,13 @@ def reconstructed(
     options: dict[str, Any] = {"seed": task.seed, "start": start, "progress": progress}
     if task.iterations is not None:
         options["max_iterations"] = task.iterations
-    (image,) = task.images[:1]
+    if task.method not in (*KNOWN, SHADOWS):
+        return _several(task, options)
+    (image,) = task.images
     if task.method == SHADOWS:
         light = np.where(image.masked | ~wall_pixels(task.scene), np.nan, image.values)
         options = _accepted(task, inverse.shadow_fit, options)
         return inverse.shadow_fit(light, shadow_operator(task.scene), **options)
-    if task.method not in KNOWN:
-        return _several(task, options)
     model = model or known_model(task.scene, tol=task.tol, mean=task.method in SINGLE)
     noise = camera_noise(task.scene, image, model)
     veil = None
